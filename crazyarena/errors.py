@@ -1,0 +1,39 @@
+"""Errors a user can cause, and so must be able to read.
+
+Every message names the file (or vehicle), the field, what was found and what would be right.
+The command line turns any :class:`CrazyarenaError` into one line and exit code 2.
+"""
+
+from __future__ import annotations
+
+
+class CrazyarenaError(Exception):
+    """Base of all errors that describe wrong input or a refused action."""
+
+
+class InputError(CrazyarenaError):
+    """A file, option or submission is wrong; nothing has flown."""
+
+
+class CommandError(CrazyarenaError, ValueError):
+    """A flight command has a wrong type, shape, range or a number that is not finite."""
+
+
+class BackendError(CrazyarenaError):
+    """A vehicle link cannot be opened, was lost, or refused an action."""
+
+
+class DependencyMissing(CrazyarenaError):
+    """An optional package is not installed.
+
+    Parameters
+    ----------
+    package: name on PyPI.
+    extra: the extra of this distribution that brings it, e.g. ``"mocap"``.
+    """
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(
+            f"{purpose} needs the package '{package}', which is not installed; "
+            f"install it with: pip install 'crazyarena[{extra}]'"
+        )

@@ -1,0 +1,1 @@
+"""Level files: their schema, the shipped levels, the random draws."""

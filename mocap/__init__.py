@@ -1,0 +1,1 @@
+"""Motion capture: pose sources, tracking, estimation, forwarding to the vehicles."""

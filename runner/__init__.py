@@ -1,0 +1,1 @@
+"""Trials: scheduler, contestant, referee, recording, reports, command line."""

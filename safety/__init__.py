@@ -1,0 +1,1 @@
+"""Arena shapes, watchdog, command gate, emergency stop, pre-flight checks."""

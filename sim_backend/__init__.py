@@ -1,0 +1,1 @@
+"""A Crazyflie in software: firmware, physics, and its wire protocol."""

@@ -1,0 +1,1 @@
+"""The virtual Crazyflie: the vehicle's side of the CRTP protocol."""

@@ -1,0 +1,64 @@
+"""The decorator of every compiled kernel.
+
+Numba's on-disk cache only looks at the file a function stands in. Our kernels call each other
+across files and bake in layout constants, so the cache folder carries a digest of the kernel
+libraries (``firmware/``, ``physics/``): an edit there starts a fresh folder instead of running
+stale machine code. Kernels elsewhere may call those, but not each other across files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+
+
+def _cache_root() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    root = Path(base) / "crazyarena"
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        if os.access(root, os.W_OK):
+            return root
+    except OSError:
+        pass
+    return Path(tempfile.gettempdir()) / f"crazyarena-{os.getuid()}"
+
+
+@cache
+def cache_folder() -> Path:
+    """Folder of this version's compiled kernels (made on first use)."""
+    package = Path(__file__).parent
+    digest = hashlib.sha256(numba.__version__.encode())
+    sources = [Path(__file__), *package.glob("firmware/*.py"), *package.glob("physics/*.py")]
+    for source in sorted(sources):
+        digest.update(source.name.encode())
+        digest.update(source.read_bytes())
+    folder = _cache_root() / f"kernels-{digest.hexdigest()[:16]}"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def is_cold() -> bool:
+    """True when no kernel has been compiled yet, so that the first run can say why it waits."""
+    return not any(cache_folder().rglob("*.nbi"))
+
+
+def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile with Numba: cached on disk, no GIL, IEEE arithmetic (no fast-math)."""
+
+    def decorate(py_function: Callable[..., Any]) -> Any:
+        previous = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(cache_folder())
+        try:
+            return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(py_function)
+        finally:
+            numba.config.CACHE_DIR = previous
+
+    return decorate if function is None else decorate(function)

@@ -1,0 +1,1 @@
+"""Rigid bodies, motors, contacts, and the engines that put them together."""
