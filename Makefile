@@ -1,0 +1,53 @@
+# Everything runs in a virtual environment of its own; nothing is installed outside this folder.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+.PHONY: dry-run test slow lint types bench clean
+
+# Set up and fly the example controller through level 0. More: make dry-run ARGS="--level level3"
+dry-run: $(VENV)/run.stamp
+	$(BIN)/crazyarena dry-run $(ARGS)
+
+# Set up and run the tests. More: make test ARGS="-k vector"
+test: $(VENV)/dev.stamp
+	$(BIN)/python -m pytest $(ARGS)
+
+slow: $(VENV)/dev.stamp
+	$(BIN)/python -m pytest -m slow $(ARGS)
+
+lint: $(VENV)/dev.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+# The type checker wants the folders where they are imported from, so it gets a tree of links.
+types: $(VENV)/dev.stamp
+	rm -rf build/types && mkdir -p build/types/crazyarena
+	ln -s $(CURDIR)/crazyarena/* build/types/crazyarena/
+	for f in crazyswarm_compat levels mocap runner safety sim_backend; do \
+	    ln -s $(CURDIR)/$$f build/types/crazyarena/$$f; done
+	cd build/types && $(abspath $(BIN))/mypy --config-file $(CURDIR)/pyproject.toml -p crazyarena
+
+bench: $(VENV)/dev.stamp
+	for b in benchmarks/[a-z]*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done
+
+# Debian splits venv from python3: where it is missing and we may, install it; else say how.
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	    { echo "crazyarena needs Python 3.11 or newer; set PYTHON=/path/to/python3.11"; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
+	    { [ "$$(id -u)" = 0 ] && apt-get update -q && apt-get install -qy python3-venv; } || \
+	    { echo "Python's venv module is missing; run: sudo apt install python3-venv"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/run.stamp: pyproject.toml | $(BIN)/python
+	$(PIP) -e .
+	@touch $@
+
+$(VENV)/dev.stamp: pyproject.toml | $(BIN)/python
+	$(PIP) -e '.[dev]'
+	@touch $@ $(VENV)/run.stamp
+
+clean:
+	rm -rf $(VENV) build .pytest_cache .mypy_cache .ruff_cache
