@@ -1,0 +1,61 @@
+"""Control steps on absolute deadlines ``t0 + k / rate``."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crazyarena.clock import Clock
+
+
+class Scheduler:
+    """Waits for the start of each control step; never drifts, records how late it woke.
+
+    A wake-up that is late by a whole period or more does not lead to a burst of steps: the
+    missed ones are skipped and counted, and ``step`` stays the number of periods since the start.
+
+    Parameters
+    ----------
+    clock: what time to wait for.
+    rate: control steps per second, > 0.
+    """
+
+    def __init__(self, clock: Clock, rate: float) -> None:
+        if not rate > 0:
+            raise ValueError(f"rate is {rate}; expected more than 0 Hz")
+        self._clock = clock
+        self._rate = rate
+        self._late = np.zeros(1024)
+        self._count = 0
+        self.start()
+
+    def start(self) -> None:
+        """Begin a new time line now: step 0 is due at once. Lateness records are dropped."""
+        self.t0 = self._clock.now()
+        self.step = 0
+        self.skipped = 0
+        self._count = 0
+
+    def deadline(self, step: int) -> float:
+        """Time on the clock at which ``step`` is due, s."""
+        return self.t0 + step / self._rate
+
+    def wait(self) -> float:
+        """Wait for the next step and return how late it starts (s)."""
+        step = self.step + 1
+        late = self._clock.sleep_until(self.t0 + step / self._rate)
+        if late * self._rate >= 1.0:
+            missed = int(late * self._rate)
+            step += missed
+            self.skipped += missed
+        self.step = step
+        if self._count == len(self._late):
+            self._late = np.concatenate([self._late, np.zeros_like(self._late)])
+        self._late[self._count] = late
+        self._count += 1
+        return late
+
+    @property
+    def lateness(self) -> NDArray[np.float64]:
+        """Lateness of every wake-up since :meth:`start`, s."""
+        return self._late[: self._count].copy()
