@@ -327,19 +327,19 @@ def kalman_process_noise(m, p, now_ms):
 
 @kernel
 def _update(m, k, error, std):
-    """Fuse a measurement of state ``k`` alone. With the optimal gain, Joseph's form of the
-    covariance is P - P_k P_k^T / (P_kk + std^2)."""
+    """Fuse a measurement of state ``k`` alone; works on the upper triangle of P.
+
+    With the optimal gain, Joseph's form of the covariance is P - P_k P_k^T / (P_kk + std^2).
+    """
     inverse = 1.0 / (m[KM_P + 10 * k] + std * std)
     for i in range(9):
-        m[KM_COLUMN + i] = m[KM_P + 9 * i + k]
+        m[KM_COLUMN + i] = m[KM_P + 9 * min(i, k) + max(i, k)]
     for i in range(9):
         gain = m[KM_COLUMN + i] * inverse
         m[KM_S + i] += gain * error
         m[KM_P + 10 * i] = _bound_variance(m[KM_P + 10 * i] - gain * m[KM_COLUMN + i])
         for j in range(i + 1, 9):
-            value = _bound(m[KM_P + 9 * i + j] - gain * m[KM_COLUMN + j])
-            m[KM_P + 9 * i + j] = value
-            m[KM_P + 9 * j + i] = value
+            m[KM_P + 9 * i + j] = _bound(m[KM_P + 9 * i + j] - gain * m[KM_COLUMN + j])
 
 
 @kernel
@@ -357,7 +357,7 @@ def kalman_measure(m, kind, measurement, std_position, std_quaternion):
             # Residual conj(q) * q_measured: a rotation in the body frame, fixed from here on.
             rw = w * qw + i * qx + j * qy + k * qz
             if rw == 0.0:
-                return
+                break
             m[KM_RESIDUAL] = 2.0 * (w * qx - i * qw - j * qz + k * qy) / rw
             m[KM_RESIDUAL + 1] = 2.0 * (w * qy + i * qz - j * qw - k * qx) / rw
             m[KM_RESIDUAL + 2] = 2.0 * (w * qz - i * qy + j * qx - k * qw) / rw
@@ -365,6 +365,9 @@ def kalman_measure(m, kind, measurement, std_position, std_quaternion):
         if n >= 3:
             state, error, std = n + 3, m[KM_RESIDUAL + n - 3], std_quaternion
         _update(m, state, error, std)
+    for i in range(9):
+        for j in range(i + 1, 9):
+            m[KM_P + 9 * j + i] = m[KM_P + 9 * i + j]
 
 
 @kernel
