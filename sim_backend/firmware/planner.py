@@ -25,9 +25,9 @@ from crazyarena.sim_backend.firmware.polynomial import (
     PIECE_DURATION,
     PIECE_SIZE,
     evaluate,
+    hold,
     plan_axis,
     set_constant,
-    stand_still,
 )
 from crazyarena.sim_backend.jit import kernel
 
@@ -68,13 +68,13 @@ _TIME_SLACK = 1e-4
 _FACTORIAL = (1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0)
 
 
-@kernel
+@kernel(_nrt=False)
 def since(mem, t):
     """Seconds since the trajectory began, at single precision."""
     return np.float32(t) - np.float32(mem[PL_BEGIN])
 
 
-@kernel
+@kernel(_nrt=False)
 def _read_float(memory, at):
     bits = (
         np.uint32(memory[at])
@@ -85,26 +85,26 @@ def _read_float(memory, at):
     return np.uint32(bits).view(np.float32)
 
 
-@kernel
+@kernel(_nrt=False)
 def _read_int16(memory, at):
     value = np.int64(memory[at]) | (np.int64(memory[at + 1]) << 8)
     return float(value - 65536 if value >= 32768 else value)
 
 
-@kernel
+@kernel(_nrt=False)
 def _stretched_duration(mem, memory, piece):
     at = int(mem[PL_OFFSET]) + PIECE_BYTES * piece + 4 * PIECE_DURATION
     return _read_float(memory, at) * np.float32(mem[PL_SCALE])
 
 
-@kernel
+@kernel(_nrt=False)
 def _load_piece(mem, memory, piece):
     at = int(mem[PL_OFFSET]) + PIECE_BYTES * piece
     for k in range(PIECE_SIZE):
         mem[PL_PIECE + k] = _read_float(memory, at + 4 * k)
 
 
-@kernel
+@kernel(_nrt=False)
 def _follow(mem, kind, t):
     mem[PL_KIND] = kind
     mem[PL_BEGIN] = np.float32(t)
@@ -118,7 +118,7 @@ def _follow(mem, kind, t):
     mem[PL_INDEX] = -1.0
 
 
-@kernel
+@kernel(_nrt=False)
 def _seek_piece(mem, memory, local):
     # Walks the stretched durations from the start, in single precision like the vehicle.
     count = int(mem[PL_COUNT])
@@ -141,7 +141,7 @@ def _seek_piece(mem, memory, local):
     mem[PL_TO] = math.inf
 
 
-@kernel
+@kernel(_nrt=False)
 def _decode_axis(mem, memory, axis, points, at, unit, duration):
     # From Bezier control points (the first is the end of the segment before) to powers of t.
     base = PL_PIECE + 8 * axis
@@ -163,7 +163,7 @@ def _decode_axis(mem, memory, axis, points, at, unit, duration):
         mem[PL_LAST + axis] = _read_int16(memory, at + 2 * (points - 1)) * unit
 
 
-@kernel
+@kernel(_nrt=False)
 def _next_segment(mem, memory):
     """Decode the segment at the cursor; past the end, stand at the last end point for ever."""
     at = int(mem[PL_CURSOR])
@@ -196,7 +196,7 @@ def _next_segment(mem, memory):
     mem[PL_TO] = mem[PL_FROM] + np.float32(duration)
 
 
-@kernel
+@kernel(_nrt=False)
 def _seek_segment(mem, memory, local):
     if mem[PL_INDEX] < 0.0 or local < mem[PL_FROM]:
         start = int(mem[PL_OFFSET])
@@ -210,53 +210,57 @@ def _seek_segment(mem, memory, local):
         _next_segment(mem, memory)
 
 
-@kernel
+@kernel(_nrt=False)
 def evaluate_plan(mem, memory, t):
     """Evaluate the trajectory at time ``t`` (s) into ``mem[PL_EVAL:]``.
 
     Past its end a trajectory stands still at its last point.
     """
-    local = since(mem, t)
+    local = float(since(mem, t))
     kind = mem[PL_KIND]
+    u = local
+    rate = 1.0
+    ended = False
     if kind == KIND_PLANNED:
         duration = mem[PL_PIECE + PIECE_DURATION]
-        if local <= duration:
-            evaluate(mem, PL_PIECE, float(local), 1.0, mem, PL_EVAL)
-        else:
-            evaluate(mem, PL_PIECE, duration, 1.0, mem, PL_EVAL)
-            stand_still(mem, PL_EVAL)
-        return
-    if kind == KIND_COMPRESSED:
+        if local > duration:
+            ended = True
+            u = duration
+    elif kind == KIND_COMPRESSED:
         if mem[PL_INDEX] < 0.0 or local < mem[PL_FROM] or local >= mem[PL_TO]:
             _seek_segment(mem, memory, local)
-        u = min(local - mem[PL_FROM], 1e6)
-        evaluate(mem, PL_PIECE, u, 1.0, mem, PL_EVAL)
+        ended = mem[PL_INDEX] == mem[PL_COUNT]
+        u = 0.0 if ended else local - mem[PL_FROM]
     else:
         inside = local > mem[PL_FROM] + _TIME_SLACK and local < mem[PL_TO] - _TIME_SLACK
         if mem[PL_INDEX] < 0.0 or not inside:
-            _seek_piece(mem, memory, local)
-        rate = 1.0 / mem[PL_SCALE]
+            _seek_piece(mem, memory, np.float32(local))
         reverse = mem[PL_REVERSED] != 0.0
-        if mem[PL_INDEX] == mem[PL_COUNT]:
+        ended = mem[PL_INDEX] == mem[PL_COUNT]
+        if ended:
             u = 0.0 if reverse else mem[PL_PIECE + PIECE_DURATION]
-            evaluate(mem, PL_PIECE, u, rate, mem, PL_EVAL)
-            stand_still(mem, PL_EVAL)
-        elif reverse:
-            u = (mem[PL_TO] - local) * rate
-            evaluate(mem, PL_PIECE, u, -rate, mem, PL_EVAL)
         else:
-            u = (local - mem[PL_FROM]) * rate
-            evaluate(mem, PL_PIECE, u, rate, mem, PL_EVAL)
-        if mem[PL_TURN] != 0.0 and not reverse:
+            rate = 1.0 / mem[PL_SCALE]
+            if reverse:
+                u = (mem[PL_TO] - local) * rate
+                rate = -rate
+            else:
+                u = (local - mem[PL_FROM]) * rate
+    if ended:
+        hold(mem, PL_PIECE, u, mem, PL_EVAL)
+    else:
+        evaluate(mem, PL_PIECE, u, rate, mem, PL_EVAL)
+    if kind != KIND_PLANNED:
+        if mem[PL_TURN] != 0.0 and mem[PL_REVERSED] == 0.0:
             _turn(mem, EV_POS)
             _turn(mem, EV_VEL)
             _turn(mem, EV_ACC)
             mem[PL_EVAL + EV_YAW] += mem[PL_TURN]
-    for k in range(3):
-        mem[PL_EVAL + EV_POS + k] += mem[PL_SHIFT + k]
+        for k in range(3):
+            mem[PL_EVAL + EV_POS + k] += mem[PL_SHIFT + k]
 
 
-@kernel
+@kernel(_nrt=False)
 def _turn(mem, vector):
     at = PL_EVAL + vector
     x = mem[at]
@@ -265,7 +269,7 @@ def _turn(mem, vector):
     mem[at + 1] = mem[PL_TURN + 2] * x + mem[PL_TURN + 1] * y
 
 
-@kernel
+@kernel(_nrt=False)
 def is_finished(mem, memory, t):
     """Whether the last trajectory has come to its end, even if it was interrupted."""
     local = since(mem, t)
@@ -283,7 +287,7 @@ def is_finished(mem, memory, t):
     return True
 
 
-@kernel
+@kernel(_nrt=False)
 def plan_point_to_point(mem, t, duration, pos, yaw, end_vel, end_yaw_rate):
     """Plan one piece from the evaluated point in ``mem[PL_EVAL:]`` to the given end state.
 
@@ -312,7 +316,7 @@ def plan_point_to_point(mem, t, duration, pos, yaw, end_vel, end_yaw_rate):
     )
 
 
-@kernel
+@kernel(_nrt=False)
 def plan_spiral(mem, t, duration, sideways, clockwise, angle, radius0, radius1, climb, pos, yaw):
     """Plan one piece that joins the ends of a spiral arc about a point beside or ahead.
 
@@ -344,7 +348,7 @@ def plan_spiral(mem, t, duration, sideways, clockwise, angle, radius0, radius1, 
     plan_axis(mem, PL_PIECE, 3, duration, yaw, w, 0.0, end_yaw, w, 0.0)
 
 
-@kernel
+@kernel(_nrt=False)
 def _arc_point(sideways, s, r, f, w, dr):
     # Position, velocity and acceleration (x, y each) relative to the centre of the arc. With
     # the radius vector along e and n = de/df, r' = dr and f' = w:
@@ -367,7 +371,7 @@ def _arc_point(sideways, s, r, f, w, dr):
     )
 
 
-@kernel
+@kernel(_nrt=False)
 def start_pieces(mem, memory, t, offset, count, scale, reverse):
     """Follow uploaded polynomial pieces as they stand, neither shifted nor turned.
 
@@ -380,7 +384,7 @@ def start_pieces(mem, memory, t, offset, count, scale, reverse):
     mem[PL_REVERSED] = 1.0 if reverse else 0.0
 
 
-@kernel
+@kernel(_nrt=False)
 def start_compressed(mem, memory, t, offset, yaw_unit):
     """Follow an uploaded compressed trajectory, not shifted; ``yaw_unit`` rad per stored unit."""
     _follow(mem, KIND_COMPRESSED, t)
@@ -389,7 +393,7 @@ def start_compressed(mem, memory, t, offset, yaw_unit):
     mem[PL_YAW_UNIT] = yaw_unit
 
 
-@kernel
+@kernel(_nrt=False)
 def make_relative(mem, memory, pos, turned, yaw):
     """Move the trajectory just started so that its first sample is at ``pos`` (m, 3-tuple).
 

@@ -26,7 +26,7 @@ EVAL_SIZE = 16
 GRAVITY = 9.81
 
 
-@kernel
+@kernel(_nrt=False)
 def set_constant(row, base, axis, value):
     """Make one axis (0..3) of the piece at ``row[base:]`` stand at ``value``."""
     at = base + 8 * axis
@@ -35,7 +35,7 @@ def set_constant(row, base, axis, value):
         row[at + k] = 0.0
 
 
-@kernel
+@kernel(_nrt=False)
 def plan_axis(row, base, axis, duration, p0, v0, a0, p1, v1, a1):
     """Join two states of one axis by the degree-7 polynomial with zero jerk at both ends.
 
@@ -67,22 +67,19 @@ def plan_axis(row, base, axis, duration, p0, v0, a0, p1, v1, a1):
     row[at + 7] = (-20.0 * dp + 10.0 * dv - 2.0 * da) * inverse4 * inverse2 * inverse
 
 
-@kernel
-def _evaluate_axis(row, at, t, rate, out, to):
+@kernel(_nrt=False)
+def _evaluate_axis(row, at, t, rate):
     # Horner's scheme carried through three derivatives; d2 and d3 lack their factors 2 and 6.
     c7 = row[at + 7]
-    c6 = row[at + 6]
-    c5 = row[at + 5]
-    c4 = row[at + 4]
-    p = c7 * t + c6
+    p = c7 * t + row[at + 6]
     d1 = c7 * t + p
     d2 = c7 * t + d1
     d3 = c7 * t + d2
-    p = p * t + c5
+    p = p * t + row[at + 5]
     d1 = d1 * t + p
     d2 = d2 * t + d1
     d3 = d3 * t + d2
-    p = p * t + c4
+    p = p * t + row[at + 4]
     d1 = d1 * t + p
     d2 = d2 * t + d1
     d3 = d3 * t + d2
@@ -97,23 +94,10 @@ def _evaluate_axis(row, at, t, rate, out, to):
     d1 = d1 * t + p
     p = p * t + row[at]
     rate2 = rate * rate
-    out[to + EV_POS] = p
-    out[to + EV_VEL] = d1 * rate
-    out[to + EV_ACC] = 2.0 * d2 * rate2
-    out[to + EV_JERK] = 6.0 * d3 * rate2 * rate
+    return p, d1 * rate, 2.0 * d2 * rate2, 6.0 * d3 * rate2 * rate
 
 
-@kernel
-def position_at(row, base, axis, t):
-    """Value of one axis (0..3: x, y, z, yaw) of a piece at local time ``t`` (s)."""
-    at = base + 8 * axis
-    p = row[at + 7]
-    for k in range(6, -1, -1):
-        p = p * t + row[at + k]
-    return p
-
-
-@kernel
+@kernel(_nrt=False)
 def body_rates(acc, jerk, yaw, yaw_rate):
     """Body rates (rad/s) of a thrust-only vehicle that follows acceleration, jerk and yaw.
 
@@ -146,7 +130,7 @@ def body_rates(acc, jerk, yaw, yaw_rate):
     return roll, pitch, zz * yaw_rate
 
 
-@kernel
+@kernel(_nrt=False)
 def evaluate(row, base, t, rate, out, to):
     """Evaluate the piece at ``row[base:]`` and write an evaluated point to ``out[to:]``.
 
@@ -155,31 +139,42 @@ def evaluate(row, base, t, rate, out, to):
     t: local time of the piece as stored, s.
     rate: d(t)/d(flight time): 1/timescale, negative when flown backwards.
     """
-    _evaluate_axis(row, base, t, rate, out, to)
-    _evaluate_axis(row, base + 8, t, rate, out, to + 1)
-    _evaluate_axis(row, base + 16, t, rate, out, to + 2)
     at = base + 24
-    p = row[at + 7]
+    yaw = row[at + 7]
     d = 0.0
     for k in range(6, -1, -1):
-        d = d * t + p
-        p = p * t + row[at + k]
-    out[to + EV_YAW] = p
-    roll, pitch, yaw = body_rates(
-        (out[to + EV_ACC], out[to + EV_ACC + 1], out[to + EV_ACC + 2]),
-        (out[to + EV_JERK], out[to + EV_JERK + 1], out[to + EV_JERK + 2]),
-        p,
-        d * rate,
-    )
+        d = d * t + yaw
+        yaw = yaw * t + row[at + k]
+    px, vx, ax, jx = _evaluate_axis(row, base, t, rate)
+    py, vy, ay, jy = _evaluate_axis(row, base + 8, t, rate)
+    pz, vz, az, jz = _evaluate_axis(row, base + 16, t, rate)
+    roll, pitch, turn = body_rates((ax, ay, az), (jx, jy, jz), yaw, d * rate)
+    out[to + EV_POS] = px
+    out[to + EV_POS + 1] = py
+    out[to + EV_POS + 2] = pz
+    out[to + EV_VEL] = vx
+    out[to + EV_VEL + 1] = vy
+    out[to + EV_VEL + 2] = vz
+    out[to + EV_ACC] = ax
+    out[to + EV_ACC + 1] = ay
+    out[to + EV_ACC + 2] = az
+    out[to + EV_JERK] = jx
+    out[to + EV_JERK + 1] = jy
+    out[to + EV_JERK + 2] = jz
+    out[to + EV_YAW] = yaw
     out[to + EV_OMEGA] = roll
     out[to + EV_OMEGA + 1] = pitch
-    out[to + EV_OMEGA + 2] = yaw
+    out[to + EV_OMEGA + 2] = turn
 
 
-@kernel
-def stand_still(out, to):
-    """Zero all derivatives of the evaluated point at ``out[to:]``, keeping position and yaw."""
-    for k in range(EV_VEL, EV_YAW):
+@kernel(_nrt=False)
+def hold(row, base, t, out, to):
+    """Write the point of a piece at local time ``t`` as an evaluated point standing still."""
+    for k in range(EVAL_SIZE):
         out[to + k] = 0.0
-    for k in range(EV_OMEGA, EVAL_SIZE):
-        out[to + k] = 0.0
+    for axis in range(4):
+        at = base + 8 * axis
+        p = row[at + 7]
+        for k in range(6, -1, -1):
+            p = p * t + row[at + k]
+        out[to + (EV_POS + axis if axis < 3 else EV_YAW)] = p
