@@ -1,1 +1,39 @@
-"""Level files: their schema, the shipped levels, the random draws."""
+"""Level files: their schema, the shipped levels, the random draws.
+
+Importing this package costs pydantic and PyYAML only; :mod:`crazyarena.levels.draw` and
+:mod:`crazyarena.levels.contract` bring numpy and munch, and are imported by those who need them.
+"""
+
+from crazyarena.levels.load import dump_level, load_level, shipped_levels
+from crazyarena.levels.schema import (
+    Arena,
+    Disturbances,
+    Gate,
+    GateType,
+    Goal,
+    Level,
+    Obstacle,
+    Profile,
+    Randomization,
+    RngKind,
+    Start,
+    Track,
+)
+
+__all__ = [
+    "Arena",
+    "Disturbances",
+    "Gate",
+    "GateType",
+    "Goal",
+    "Level",
+    "Obstacle",
+    "Profile",
+    "Randomization",
+    "RngKind",
+    "Start",
+    "Track",
+    "dump_level",
+    "load_level",
+    "shipped_levels",
+]

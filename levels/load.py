@@ -1,0 +1,207 @@
+"""Level files to :class:`~crazyarena.levels.schema.Level`, with errors that name the line."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from crazyarena.errors import InputError
+from crazyarena.levels import competition
+from crazyarena.levels.document import MAX_DEPTH, Node, found, parse, read
+from crazyarena.levels.schema import Level
+
+_FOLDER = Path(__file__).parent
+_SEGMENT = re.compile(r"([^.\[\]]+)((?:\[\d{1,6}\])*)")
+
+
+def shipped_levels() -> tuple[str, ...]:
+    """Names that :func:`load_level` knows without a path."""
+    return tuple(sorted(path.stem for path in _FOLDER.glob("*.yaml")))
+
+
+def load_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Level:
+    """Load a shipped level by name, or a level file in our format or the competition's.
+
+    Parameters
+    ----------
+    name_or_path: ``level0`` ... ``level3``, ``getting_started``, ``sim2real``, or a path.
+    overrides: ``a.b=value`` with the value in YAML; list members as ``a[2].b`` or ``a.2.b``.
+        Paths are those of our format; on a competition file also those of the file.
+
+    Raises
+    ------
+    InputError: naming file, line, column, field, what was found and what is allowed.
+    """
+    text = str(name_or_path)
+    if text in shipped_levels():
+        path, shown = _FOLDER / f"{text}.yaml", f"{text}.yaml"
+    else:
+        path, shown = _existing(text), text
+    root = read(path, shown)
+    if root.value is None:
+        root.fail("the file is empty; expected a level (see docs/levels.md)")
+    if not isinstance(root.value, dict):
+        root.expected("a level as a mapping of fields")
+    assignments = [_assignment(override) for override in overrides]
+    foreign = competition.is_competition(root)
+    if foreign:
+        for keys, value in assignments:
+            if competition.owns(str(keys[0])):
+                root = _assign(root, keys, value)
+        root = competition.convert(root)
+    for keys, value in assignments:
+        if not (foreign and competition.owns(str(keys[0]))):
+            root = _assign(root, keys, value)
+    if "name" not in root.value:
+        stem = re.sub(r"[^A-Za-z0-9_.-]", "_", path.stem).lstrip("_.-")[:64] or "level"
+        root = _assign(root, ["name"], Node(stem, "name", root.source))
+    return _validate(root)
+
+
+def dump_level(level: Level) -> str:
+    """YAML text of a level with every field written out; loads back as an equal level."""
+    return yaml.safe_dump(level.model_dump(mode="json"), sort_keys=False, default_flow_style=None)
+
+
+def _existing(text: str) -> Path:
+    path = Path(text)
+    try:
+        if path.exists():
+            return path
+    except (OSError, ValueError):
+        pass
+    names = shipped_levels()
+    bare = text.removesuffix(".yaml").removesuffix(".yml")
+    close = [bare] if bare in names else difflib.get_close_matches(text, names, n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    shown = text if len(text) <= 200 else text[:197] + "..."
+    raise InputError(f"{shown}: no such level file (shipped levels: {', '.join(names)}){hint}")
+
+
+def _assignment(override: str) -> tuple[list[str | int], Node]:
+    shown = override if len(override) <= 80 else override[:77] + "..."
+    source = f"override {shown!r}"
+    path, equals, value = override.partition("=")
+    path = path.strip()
+    if not equals or not path:
+        raise InputError(f"{source}: expected field=value, e.g. disturbances.action.std=0.002")
+    keys: list[str | int] = []
+    for part in path.split("."):
+        match = _SEGMENT.fullmatch(part)
+        if match is None:
+            raise InputError(
+                f"{source}: expected a field such as track.gates[0].yaw, found '{path}'"
+            )
+        name = match[1]
+        is_index = bool(keys) and re.fullmatch(r"\d{1,6}", name) is not None
+        keys.append(int(name) if is_index else name)
+        keys.extend(int(index) for index in re.findall(r"\d+", match[2]))
+    if len(keys) > MAX_DEPTH:
+        raise InputError(f"{source}: expected at most {MAX_DEPTH} fields in a path, found more")
+    return keys, parse(value, source, lines=False, path=_joined(keys))
+
+
+def _joined(keys: list[str | int]) -> str:
+    node = Node(None, "", "")
+    for key in keys:
+        node = Node(None, node.child(key), "")
+    return node.path
+
+
+def _assign(node: Node, keys: list[str | int], value: Node) -> Node:
+    """The tree with ``value`` at ``keys``; mappings on the way are made where none is."""
+    if not keys:
+        return value
+    key, rest = keys[0], keys[1:]
+    here = Node(node.value, node.path, value.source)
+    if isinstance(node.value, list):
+        if isinstance(key, int) and key < len(node.value):
+            items = list(node.value)
+            items[key] = _assign(items[key], rest, value)
+            return Node(items, node.path, node.source)
+        here.fail(f"expected an index below {len(node.value)}, found '{key}'")
+    if node.value is not None and not isinstance(node.value, dict):
+        here.fail(f"has no field '{key}'; it is {found(node.value)}")
+    members = dict(node.value or {})
+    # An index on something that is no list is a field with a number for a name: unknown, and
+    # reported as such by the validation.
+    name = str(key)
+    members[name] = _assign(
+        members.get(name, Node(None, node.child(name), value.source)), rest, value
+    )
+    return Node(members, node.path, node.source)
+
+
+def _validate(root: Node) -> Level:
+    try:
+        return Level.model_validate(root.plain())
+    except ValidationError as error:
+        items = error.errors(include_url=False)
+    # A bad member also makes pydantic find its list too short: that is one problem, not two.
+    inner = {item["loc"][:depth] for item in items for depth in range(len(item["loc"]))}
+    problems = [_describe(root, item) for item in items if item["loc"] not in inner]
+    more = f" (and {len(problems) - 1} more in this file)" if len(problems) > 1 else ""
+    raise InputError(problems[0] + more)
+
+
+def _describe(root: Node, error: Any) -> str:
+    keys = list(error["loc"])
+    if error["type"] == "level" and error["ctx"]["key"]:
+        for part in str(error["ctx"]["key"]).split("."):
+            keys.append(int(part) if part.isdigit() else part)
+    node, rest = root, keys
+    while rest:
+        members = node.value
+        if isinstance(members, dict) and str(rest[0]) in members:
+            node = members[str(rest[0])]
+        elif isinstance(members, list) and isinstance(rest[0], int) and rest[0] < len(members):
+            node = members[rest[0]]
+        else:
+            break
+        rest = rest[1:]
+    if not isinstance(node.value, dict | list):
+        rest = []  # one number that stands for several: no member of it was written
+    path = Node(None, node.path, "")
+    for key in rest:
+        path = Node(None, path.child(key), "")
+    where = f"{node.source}: {path.path}: " if path.path else f"{node.source}: "
+    return where + _message(error)
+
+
+_EXPECTED = {
+    "float_type": "a finite number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "model_type": "a mapping of fields",
+    "model_attributes_type": "a mapping of fields",
+    "tuple_type": "a list",
+    "enum": "{expected}",
+    "greater_than": "a number > {gt}",
+    "greater_than_equal": "a number >= {ge}",
+    "less_than": "a number < {lt}",
+    "less_than_equal": "a number <= {le}",
+    "string_pattern_mismatch": "text matching {pattern}",
+}
+
+
+def _message(error: Any) -> str:
+    kind, context = error["type"], error.get("ctx", {})
+    if kind == "level":
+        return context["text"]
+    if kind == "missing":
+        return "missing; this field is required"
+    if kind in ("too_short", "too_long"):
+        count = context.get("min_length", context.get("max_length"))
+        at_most = "at most " if kind == "too_long" and count == 100 else ""
+        return f"expected {at_most}{count} values, found {context['actual_length']}"
+    if kind in _EXPECTED:
+        return f"expected {_EXPECTED[kind].format(**context)}, found {found(error['input'])}"
+    return f"{error['msg']}, found {found(error['input'])}"
