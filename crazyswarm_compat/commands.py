@@ -187,6 +187,7 @@ class CollisionAvoidance:
     """Buffered-Voronoi collision avoidance on board (Zhou et al., RA-L 2017).
 
     ``radii`` (3,) m ellipsoid; ``bbox_min``/``bbox_max`` (3,) m; ``horizon`` s; ``max_speed`` m/s.
+    ``peers`` are the ids to avoid, None for everybody (a real vehicle avoids all it hears of).
     """
 
     enable: bool
@@ -195,6 +196,7 @@ class CollisionAvoidance:
     bbox_max: Sequence[float] = field(default=(np.inf, np.inf, np.inf))
     horizon: float = 1.0
     max_speed: float = 0.5
+    peers: Sequence[int] | None = None
 
 
 Command: TypeAlias = (

@@ -1,0 +1,1 @@
+"""Parts of the firmware that scripts may call."""

@@ -1,0 +1,5 @@
+"""Films."""
+
+from crazyarena.crazyswarm_compat.video import VideoWriter
+
+__all__ = ["VideoWriter"]

@@ -1,0 +1,1 @@
+"""Viewers, one module each."""

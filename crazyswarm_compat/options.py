@@ -1,0 +1,106 @@
+"""The command-line flags that every script understands, without the script knowing them."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import warnings
+from collections.abc import Sequence
+
+from crazyarena.crazyswarm_compat.registry import ENTRIES, SIMULATED
+from crazyarena.errors import InputError
+
+# Perfect tracking is made for ten frames per second; dynamics need commands between frames.
+DEFAULT_DT = 0.1
+DEFAULT_DT_DYNAMICS = 0.01
+
+
+class CrazyswarmWarning(UserWarning):
+    """A call or flag that does nothing here, or not what it does on other backends."""
+
+
+def warn(message: str, stacklevel: int = 3) -> None:
+    warnings.warn(message, CrazyswarmWarning, stacklevel=stacklevel + 1)
+
+
+def build_argparser(
+    parent_parsers: Sequence[argparse.ArgumentParser] = (),
+) -> argparse.ArgumentParser:
+    """Parser of the flags; ``parent_parsers`` (made with ``add_help=False``) add theirs."""
+    parser = argparse.ArgumentParser(parents=list(parent_parsers))
+    parser.add_argument("--sim", action="store_true", help="simulate instead of using the radio")
+    parser.add_argument(
+        "--backend",
+        choices=sorted(ENTRIES),
+        help="what flies: ideal (perfect tracking, the meaning of --sim alone), sim (firmware "
+        "and physics), pybullet, or radio (without --sim)",
+    )
+    parser.add_argument(
+        "--vis",
+        default="mpl",
+        choices=["mpl", "vispy", "viser", "null"],
+        help="[sim] viewer (vispy is taken as mpl)",
+    )
+    parser.add_argument(
+        "--dt",
+        type=float,
+        default=None,
+        help=f"[sim] tick and frame period in s (default {DEFAULT_DT} ideal, "
+        f"{DEFAULT_DT_DYNAMICS} otherwise)",
+    )
+    parser.add_argument("--writecsv", action="store_true", help="write logcf<id>.csv per vehicle")
+    parser.add_argument(
+        "--disturbance", type=float, default=0.0, help="[sim] std. dev. of velocity noise, m/s"
+    )
+    parser.add_argument(
+        "--maxvel", type=float, default=math.inf, help="[sim] limit on the speed, m/s"
+    )
+    parser.add_argument("--video", metavar="PATH", help="[sim] write a film of the viewer")
+    parser.add_argument(
+        "--crazyflies-yaml", "--crazyflies_yaml", metavar="PATH", help="vehicle list to use"
+    )
+    return parser
+
+
+def parse(
+    args: str | Sequence[str] | None, parent_parser: argparse.ArgumentParser | None
+) -> argparse.Namespace:
+    """Parse ``args`` (text, list, or None for ``sys.argv``); unknown flags are ignored.
+
+    ``backend`` is filled in, ``dt`` too.
+
+    Raises
+    ------
+    InputError
+        naming the flag.
+    """
+    parser = build_argparser([] if parent_parser is None else [parent_parser])
+    if args is None:
+        args = sys.argv[1:]
+    elif isinstance(args, str):
+        args = args.split()
+    parsed, _ = parser.parse_known_args(args)
+    if parsed.backend is None:
+        parsed.backend = "ideal" if parsed.sim else "radio"
+    elif parsed.sim and parsed.backend not in SIMULATED:
+        raise InputError(f"--sim: contradicts --backend {parsed.backend}; give one of the two")
+    parsed.sim = parsed.backend in SIMULATED
+    if parsed.dt is None:
+        parsed.dt = DEFAULT_DT if parsed.backend == "ideal" else DEFAULT_DT_DYNAMICS
+    if not (math.isfinite(parsed.dt) and parsed.dt > 0):
+        raise InputError(f"--dt: found {parsed.dt}; expected seconds > 0")
+    if not parsed.disturbance >= 0 or math.isinf(parsed.disturbance):
+        raise InputError(f"--disturbance: found {parsed.disturbance}; expected m/s >= 0")
+    if not parsed.maxvel > 0:
+        raise InputError(f"--maxvel: found {parsed.maxvel}; expected m/s > 0")
+    if not parsed.sim:
+        for flag in ("writecsv", "video"):
+            if getattr(parsed, flag):
+                warn(f"--{flag} only works in simulation and is ignored")
+    elif parsed.vis == "vispy":
+        warn("--vis vispy: there is no vispy viewer here; using --vis mpl")
+        parsed.vis = "mpl"
+    if parsed.sim and parsed.video and parsed.vis != "mpl":
+        raise InputError(f"--video: found --vis {parsed.vis}; films need --vis mpl")
+    return parsed

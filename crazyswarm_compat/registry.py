@@ -1,0 +1,105 @@
+"""Finds the backend that stands behind a script, by name and only when it is asked for.
+
+The API knows no simulator: a backend is a factory named here as ``module:function`` and
+imported at run time, so that a flight over the radio never loads a physics engine and the
+dependencies keep pointing one way.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from crazyarena.clock import Clock
+from crazyarena.crazyswarm_compat.backend import Backend
+from crazyarena.crazyswarm_compat.config import FleetConfig
+from crazyarena.errors import BackendError, InputError
+from crazyarena.types import Vector
+
+
+@dataclass(slots=True)
+class SimOptions:
+    """What a script may change while a simulation runs.
+
+    disturbance: standard deviation of the velocity noise, m/s; max_velocity: clamp on the
+    speed, m/s.
+    """
+
+    disturbance: float = 0.0
+    max_velocity: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class IdealState:
+    """Motion of one vehicle: pos m, vel m/s, acc m/s² (3,) world; yaw rad, not wrapped;
+    omega (3,) rad/s body."""
+
+    pos: Vector
+    vel: Vector
+    acc: Vector
+    yaw: float
+    omega: Vector
+
+
+@runtime_checkable
+class InspectableBackend(Backend, Protocol):
+    """A simulation that shows more of a vehicle than a radio link could."""
+
+    def state(self, vehicle: int) -> IdealState:
+        """True motion."""
+        ...
+
+    def setpoint(self, vehicle: int) -> IdealState:
+        """Setpoint of the latest tick."""
+        ...
+
+    def mode(self, vehicle: int) -> int:
+        """Flight mode, 0..4: idle, high-level, full state, position, velocity."""
+        ...
+
+
+class BackendFactory(Protocol):
+    """Signature of the functions named in :data:`ENTRIES`."""
+
+    def __call__(self, fleet: FleetConfig, clock: Clock, options: SimOptions) -> Backend: ...
+
+
+ENTRIES: dict[str, str] = {
+    "ideal": "crazyarena.sim_backend.ideal_backend:open_ideal",
+    "sim": "crazyarena.sim_backend.arena:open_arena",
+    "pybullet": "crazyarena.sim_backend.physics.pybullet_engine:open_pybullet",
+    "radio": "crazyarena.crazyswarm_compat.radio:open_radio",
+}
+SIMULATED = frozenset({"ideal", "sim", "pybullet"})  # these run on a virtual clock
+
+
+def open_backend(
+    name: str, fleet: FleetConfig, clock: Clock, options: SimOptions | None = None
+) -> Backend:
+    """Open the backend ``name`` (a key of :data:`ENTRIES`) for a fleet.
+
+    A simulated backend registers itself with the virtual ``clock``.
+
+    Raises
+    ------
+    InputError
+        for an unknown name.
+    BackendError
+        if this installation has no such backend, or it cannot be opened.
+    """
+    try:
+        module_name, function = ENTRIES[name].split(":")
+    except KeyError:
+        raise InputError(
+            f"--backend: found {name!r}; expected one of {', '.join(sorted(ENTRIES))}"
+        ) from None
+    try:
+        module = importlib.import_module(module_name)
+        factory: BackendFactory = getattr(module, function)
+    except (ModuleNotFoundError, AttributeError) as error:
+        raise BackendError(
+            f"backend {name!r}: {ENTRIES[name]} is not part of this installation ({error})"
+        ) from error
+    return factory(fleet, clock, options or SimOptions())

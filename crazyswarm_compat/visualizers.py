@@ -1,0 +1,171 @@
+"""Viewers of a simulated fleet: none, matplotlib (also headless), viser in the browser."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from crazyarena.errors import DependencyMissing, InputError
+
+Edges = Sequence[tuple[int, int]]
+
+
+class VisNull:
+    """Shows nothing."""
+
+    def setGraph(self, edges: Edges) -> None:
+        """Draw lines between the vehicles ``(i, j)``, by index."""
+
+    def showEllipsoids(self, radii: ArrayLike) -> None:
+        """Draw an ellipsoid of ``radii`` (3,) m around every vehicle."""
+
+    def update(self, t: float, crazyflies: Sequence[Any]) -> None:
+        """Show the present positions, at time ``t`` s."""
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Picture of the last update, RGB (height, width, 3); None without one."""
+        return None
+
+
+class VisMatplotlib(VisNull):
+    """Matplotlib window, or frames in memory where there is no display."""
+
+    def __init__(self, flags: Any = None) -> None:
+        # Imported here because it takes longer than many a simulation.
+        import matplotlib
+
+        self._interactive = matplotlib.get_backend().lower() not in {"agg", "pdf", "svg", "ps"}
+        if self._interactive:
+            from matplotlib import pyplot
+
+            pyplot.ion()
+            self._figure = pyplot.figure(figsize=(8, 6))
+        else:
+            from matplotlib.backends.backend_agg import FigureCanvasAgg
+            from matplotlib.figure import Figure
+
+            self._figure = Figure(figsize=(8, 6))
+            FigureCanvasAgg(self._figure)
+        self._axes = self._figure.add_subplot(projection="3d")
+        self._axes.set(xlim=(-5, 5), ylim=(-5, 5), zlim=(0, 3))
+        self._axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+        self._points: Any = None
+        self._lines: Any = None
+        self._surfaces: list[Any] = []
+        self._edges: Edges = ()
+        self._radii: NDArray[np.float64] | None = None
+        self._positions: NDArray[np.float64] = np.empty((0, 3))
+        self._colors: list[Any] = []
+        self._t = 0.0
+        self._stale = True
+
+    def setGraph(self, edges: Edges) -> None:
+        self._edges = list(edges)
+
+    def showEllipsoids(self, radii: ArrayLike) -> None:
+        self._radii = np.asarray(radii, dtype=np.float64)
+
+    def update(self, t: float, crazyflies: Sequence[Any]) -> None:
+        self._t = t
+        self._positions = np.array([cf.position() for cf in crazyflies]).reshape(-1, 3)
+        self._colors = [cf.ledRGB for cf in crazyflies]
+        self._stale = True
+        if self._interactive:
+            self._draw()
+            self._figure.canvas.draw_idle()
+            self._figure.canvas.flush_events()
+
+    def _draw(self) -> None:
+        from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+        x, y, z = self._positions.T
+        if self._points is None or len(self._points.get_offsets()) != len(x):
+            if self._points is not None:
+                self._points.remove()
+            self._points = self._axes.scatter(x, y, z, c=self._colors or None)
+        else:
+            self._points._offsets3d = (x, y, z)
+            self._points.set_color(self._colors)
+        if self._lines is not None:
+            self._lines.remove()
+            self._lines = None
+        if self._edges:
+            segments = [self._positions[[a, b]] for a, b in self._edges]
+            self._lines = self._axes.add_collection3d(Line3DCollection(segments, colors="k"))
+        for surface in self._surfaces:
+            surface.remove()
+        self._surfaces = []
+        if self._radii is not None:
+            u, v = np.mgrid[0 : 2 * np.pi : 12j, 0 : np.pi : 8j]
+            sphere = np.array([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
+            for center in self._positions:
+                sx, sy, sz = center[:, None, None] + self._radii[:, None, None] * sphere
+                self._surfaces.append(self._axes.plot_surface(sx, sy, sz, alpha=0.3))
+        self._axes.set_title(f"t = {self._t:.2f} s")
+        self._stale = False
+
+    def render(self) -> NDArray[np.uint8]:
+        if self._stale:
+            self._draw()
+        self._figure.canvas.draw()
+        return np.asarray(self._figure.canvas.buffer_rgba())[..., :3].copy()
+
+
+class VisViser(VisNull):
+    """Scene in the browser; the address is printed when the viewer starts."""
+
+    def __init__(self, port: int = 8080) -> None:
+        try:
+            import viser
+        except ImportError:
+            raise DependencyMissing("viser", "viewer", "--vis viser") from None
+        self._server = viser.ViserServer(host="127.0.0.1", port=port)
+        self._server.scene.add_grid("/floor")
+        self._handles: dict[str, Any] = {}
+        self._edges: Edges = ()
+        self._radii: NDArray[np.float64] | None = None
+
+    def setGraph(self, edges: Edges) -> None:
+        self._edges = list(edges)
+        self._server.scene.remove_by_name("/edges")
+
+    def showEllipsoids(self, radii: ArrayLike) -> None:
+        self._radii = np.asarray(radii, dtype=np.float64)
+
+    def update(self, t: float, crazyflies: Sequence[Any]) -> None:
+        scene = self._server.scene
+        for cf in crazyflies:
+            name = f"/cf{cf.id}"
+            if name not in self._handles:
+                color = tuple(int(255 * part) for part in cf.ledRGB)
+                self._handles[name] = scene.add_icosphere(name, radius=0.05, color=color)
+            self._handles[name].position = tuple(cf.position())
+            if self._radii is not None:
+                shell = f"{name}/ellipsoid"
+                if shell not in self._handles:
+                    self._handles[shell] = scene.add_icosphere(
+                        shell, radius=1.0, scale=tuple(self._radii), opacity=0.3
+                    )
+        if self._edges:
+            positions = np.array([cf.position() for cf in crazyflies])
+            segments = np.array([positions[[a, b]] for a, b in self._edges])
+            scene.add_line_segments("/edges", segments, colors=(0, 0, 0))
+
+    def close(self) -> None:
+        """Stop the server."""
+        self._server.stop()
+
+
+def open_visualizer(name: str) -> VisNull:
+    """Viewer for ``--vis name``; raises InputError for an unknown one."""
+    kinds: dict[str, type[VisNull]] = {
+        "null": VisNull,
+        "mpl": VisMatplotlib,
+        "viser": VisViser,
+    }
+    if name not in kinds:
+        raise InputError(f"--vis: found {name!r}; expected one of {', '.join(kinds)}")
+    return kinds[name]()
