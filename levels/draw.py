@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from crazyarena.errors import InputError
 from crazyarena.levels.schema import (
     INERTIA_NAMES,
     STATE_NAMES,
@@ -72,11 +73,17 @@ class LevelRandom:
     ----------
     level: what to draw.
     seed: replaces the level's own, e.g. for the secret seed of a scoring run.
+
+    Raises
+    ------
+    InputError: the seed is negative.
     """
 
     def __init__(self, level: Level, seed: int | None = None) -> None:
         self._level = level
         self._seed = level.seed if seed is None else seed
+        if self._seed < 0:
+            raise InputError(f"seed: expected a whole number >= 0, found {self._seed}")
         self._rng = make_generator(level.rng, self._seed)
         self._noise: _NoiseStream | None = None
 

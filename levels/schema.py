@@ -432,10 +432,9 @@ class Level(_Model):
                 f"expected a start inside the arena {box}, found {_point(self.start.position)}",
                 "start.position",
             )
-        if not self.arena.contains(self.goal.position, soft=True):
+        if not self.arena.contains(self.goal.position):
             raise invalid(
-                f"expected a goal inside the arena {box} and {self.arena.soft_margin} m clear of "
-                f"its sides and top, found {_point(self.goal.position)}",
+                f"expected a goal inside the arena {box}, found {_point(self.goal.position)}",
                 "goal.position",
             )
         return self

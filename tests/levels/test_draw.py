@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from crazyarena.errors import InputError
 from crazyarena.levels import Level, load_level
 from crazyarena.levels.draw import Draw, LevelRandom, make_generator
 from crazyarena.levels.schema import RngKind
@@ -192,6 +193,11 @@ def test_seed_replaces_the_levels_own():
     assert not same(draw, LevelRandom(level).reset())
     assert same(other.reset(), draw)
     assert same(draw, LevelRandom(load_level("level2", ["seed=99"])).reset())
+
+
+def test_negative_seed_is_refused():
+    with pytest.raises(InputError, match="seed: expected a whole number >= 0, found -1"):
+        LevelRandom(load_level("level0"), seed=-1)
 
 
 def test_noise_of_a_finished_episode_is_refused():
