@@ -69,6 +69,14 @@ def euler_from_quaternion(x, y, z, w):
 
 
 @kernel
+def update_rpy(body):
+    """Bring B_RPY up to date with B_QUAT, once everything has moved the body."""
+    body[B_RPY], body[B_RPY + 1], body[B_RPY + 2] = euler_from_quaternion(
+        body[B_QUAT], body[B_QUAT + 1], body[B_QUAT + 2], body[B_QUAT + 3]
+    )
+
+
+@kernel
 def set_pose(body, px, py, pz, roll, pitch, yaw):
     """Place the body at rest, as after a reset: the step-old frames equal the present ones."""
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
@@ -91,7 +99,10 @@ def set_pose(body, px, py, pz, roll, pitch, yaw):
 
 @kernel
 def step(body, plant, rpm0, rpm1, rpm2, rpm3, dx, dy, dz):
-    """Advance ``body`` by :data:`DT` under four rotor speeds (rpm) and a world force d (N)."""
+    """Advance ``body`` by :data:`DT` under four rotor speeds (rpm) and a world force d (N).
+
+    B_RPY is left behind, see :func:`update_rpy`.
+    """
     x, y, z, w = body[B_QUAT], body[B_QUAT + 1], body[B_QUAT + 2], body[B_QUAT + 3]
     r00 = 1.0 - 2.0 * (y * y + z * z)
     r01 = 2.0 * (x * y - w * z)
@@ -163,4 +174,3 @@ def step(body, plant, rpm0, rpm1, rpm2, rpm3, dx, dy, dz):
     norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + nw * nw)
     nx, ny, nz, nw = nx * norm, ny * norm, nz * norm, nw * norm
     body[B_QUAT], body[B_QUAT + 1], body[B_QUAT + 2], body[B_QUAT + 3] = nx, ny, nz, nw
-    body[B_RPY], body[B_RPY + 1], body[B_RPY + 2] = euler_from_quaternion(nx, ny, nz, nw)
