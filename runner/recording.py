@@ -190,7 +190,7 @@ class Recorder:
 
     Parameters
     ----------
-    file: where the finished recording goes; its folder must exist.
+    file: where the finished recording goes; its folder must exist. None keeps it in memory.
     metadata: strings that describe the flight; no wall-clock values.
     scene: a ``foxglove.SceneUpdate`` of the true track (see :mod:`crazyarena.runner.scene`).
     wall: clock that decides when to append to the ``.part`` file.
@@ -198,7 +198,7 @@ class Recorder:
 
     def __init__(
         self,
-        file: Path,
+        file: Path | None,
         metadata: Mapping[str, str],
         scene: Mapping[str, Any],
         wall: Clock,
@@ -210,7 +210,6 @@ class Recorder:
         self._flush_period = flush_period
         self._flushed_at = wall.now()
         self._part: BinaryIO | None = None
-        self._part_file = file.with_name(file.name + ".part")
         self._states = _Rows(TRACE_SIZE, 17408)
         self._commands = _Rows(COMMAND_SIZE, 1024)
         self._verdicts = _Rows(verdict_row.SIZE, 1024)
@@ -284,7 +283,10 @@ class Recorder:
 
     def flush(self) -> None:
         """Append what is not on disk yet to the ``.part`` file."""
+        if self.file is None:
+            return
         if self._part is None:
+            self._part_file = self.file.with_name(self.file.name + ".part")
             self._part = open(self._part_file, "wb")  # noqa: SIM115 - closed by close()
             self._part.write(mcap_file.preamble(CHANNELS, "crazyarena"))
         counts = self._counts()
@@ -295,7 +297,7 @@ class Recorder:
 
     def close(self) -> None:
         """Write the finished file and drop the ``.part`` file. Idempotent."""
-        if self._closed:
+        if self._closed or self.file is None:
             return
         self._closed = True
         counts = self._counts()

@@ -19,7 +19,6 @@ from crazyarena.runner import judge as rules_kernel
 from crazyarena.runner.judge import (
     EVENT_SIZE,
     MAX_EVENTS,
-    ME_CONTACT,
     MEMORY_SIZE,
     RULES_SIZE,
 )
@@ -295,15 +294,15 @@ class Referee:
         return 0
 
     @property
+    def gates(self) -> int:
+        """How many gates the track has."""
+        return self._n_gates
+
+    @property
     def gates_passed(self) -> int:
         """How many gates the present episode has passed."""
         gate = int(self._memory[rules_kernel.ME_GATE])
         return self._n_gates if gate < 0 else gate
-
-    @property
-    def touching(self) -> str:
-        """What the vehicle touches at present; empty if nothing."""
-        return self._object(self._memory[ME_CONTACT])
 
     def _object(self, code: float) -> str:
         number = int(code)

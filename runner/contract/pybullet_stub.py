@@ -6,12 +6,13 @@ Quaternions are x, y, z, w; Euler angles are roll, pitch, yaw about fixed axes, 
 import math
 
 GUI, DIRECT = 1, 2
+IS_STAND_IN = True
 
 
 def __getattr__(name):
     if name.startswith("__"):
         raise AttributeError(name)
-    return _draw if not name.isupper() else 0
+    return 0 if name.isupper() else _draw
 
 
 def _draw(*_args, **_kwargs):

@@ -1,0 +1,44 @@
+"""``crazyarena levels``: the levels that come along."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from crazyarena.runner.cli.common import bad_input_exits
+
+
+def register(app: typer.Typer) -> None:
+    app.command("levels")(levels)
+
+
+def levels(
+    name: Annotated[
+        str | None, typer.Argument(help="Show this level (name or file) in full.")
+    ] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="Override a field.")
+    ] = None,
+) -> None:
+    """List the shipped levels, or print one with every field, ready to be edited."""
+    with bad_input_exits():
+        from crazyarena.levels import dump_level, load_level, shipped_levels
+
+        if name is not None:
+            typer.echo(dump_level(load_level(name, set_ or ())), nl=False)
+            return
+        for shipped in shipped_levels():
+            level = load_level(shipped)
+            random = level.randomization
+            parts = {
+                "start": random.start,
+                "inertia": random.inertia,
+                "track": random.gates_and_obstacles,
+                "disturbances": level.disturbances.action or level.disturbances.dynamics,
+            }
+            what = ", ".join(key for key, value in parts.items() if value) or "nothing"
+            typer.echo(
+                f"{shipped:<16} {len(level.track.gates)} gates, {level.num_episodes} episodes, "
+                f"random: {what}"
+            )

@@ -1,0 +1,174 @@
+"""A dry run from level name to report; what ``crazyarena dry-run`` does."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from crazyarena.errors import InputError
+from crazyarena.levels import load_level
+from crazyarena.levels.draw import Draw
+from crazyarena.levels.schema import Level, Profile
+from crazyarena.runner.contestant import Submission, entry_file
+from crazyarena.runner.recording import Recorder
+from crazyarena.runner.report import provenance, table, write_result
+from crazyarena.runner.result import EpisodeResult, TrialResult
+from crazyarena.runner.trial import Trial
+from crazyarena.runner.world import World
+from crazyarena.sim_backend import jit
+
+
+def example_racer() -> Path:
+    """Folder of the example that comes along; raises InputError if it did not."""
+    package = Path(__file__).resolve().parent
+    for root in (package.parent, package.parent / "crazyarena"):
+        folder = root / "examples" / "racer"
+        if folder.is_dir():
+            return folder
+    raise InputError("the example racer is not part of this installation. Pass a submission")
+
+
+def make_world(level: Level) -> World:
+    """Return the simulated world of a level's profile."""
+    if level.profile is not Profile.COMPETITION:
+        raise InputError(
+            f"level {level.name}: profile '{level.profile.value}' cannot be dry-run; "
+            "set profile: competition (or --set profile=competition)"
+        )
+    from crazyarena.sim_backend.competition import CompetitionWorld
+
+    return CompetitionWorld(level.control_frequency)
+
+
+def _results_folder(out: Path | None, submission: Path, level: Level) -> Path:
+    if out is None:
+        stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+        stem = submission.stem if submission.suffix == ".py" else submission.name
+        base = Path("runs") / f"{stamp}-{stem}-{level.name}"
+        out, count = base, 1
+        while out.exists():
+            count += 1
+            out = base.with_name(f"{base.name}-{count}")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {out}: cannot make this folder: {error.strerror}") from error
+    return out.resolve()
+
+
+class _Display:
+    """Moves the progress bar, twice a second of flight: more would cost more than flying."""
+
+    def __init__(self, progress: Progress, length: float, episodes: int) -> None:
+        self._progress = progress
+        self._task = progress.add_task("", total=length)
+        self._episodes = episodes
+        self._shown = -1
+
+    def __call__(self, episode: int, time: float) -> None:
+        half_seconds = int(time * 2)
+        if half_seconds != self._shown:
+            self._shown = half_seconds
+            text = f"episode {episode + 1}/{self._episodes}"
+            self._progress.update(self._task, completed=time, description=text)
+
+
+class DryRun:
+    """One call of the command; arguments as there."""
+
+    def __init__(
+        self,
+        submission: Path | None,
+        level: str,
+        overrides: Sequence[str] = (),
+        episodes: int | None = None,
+        seed: int | None = None,
+        out: Path | None = None,
+        record: bool = True,
+        figure: bool = True,
+        console: Console | None = None,
+    ) -> None:
+        self._level = load_level(level, overrides)
+        self._seed = self._level.seed if seed is None else seed
+        path = example_racer() if submission is None else submission
+        entry_file(path.expanduser())  # a wrong path must not leave a results folder behind
+        self._path = path.expanduser().resolve()
+        self._episodes = self._level.num_episodes if episodes is None else episodes
+        self._wanted_out = out
+        self._record = record
+        self._figure = figure
+        self._console = console if console is not None else Console()
+        self._drawings: list[tuple[Any, ...]] = []
+
+    def run(self) -> TrialResult:
+        """Fly, report, write ``result.json``; returns the result."""
+        console = self._console
+        level = self._level
+        world = make_world(level)
+        self.out = _results_folder(self._wanted_out, self._path, level)
+        if jit.is_cold():
+            console.print("Compiling the simulator; only the first run waits for this (< 1 min).")
+        try:
+            with contextlib.ExitStack() as stack:
+                stack.callback(world.close)
+                submission = stack.enter_context(Submission(self._path, self.out / "work"))
+                origin = provenance(level, self._seed, self._path, submission.digest)
+                progress = stack.enter_context(self._progress())
+                display = _Display(progress, level.episode_length, self._episodes)
+                result = Trial(
+                    level,
+                    submission,
+                    world,
+                    episodes=self._episodes,
+                    seed=self._seed,
+                    out=self.out if self._record else None,
+                    keep_states=self._figure,
+                    on_step=display,
+                    on_episode=self._keep,
+                ).run()
+        finally:
+            # Folders that stayed empty say nothing.
+            for folder in (self.out / "work", self.out):
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
+        self._draw_figures()
+        write_result(self.out / "result.json", result, origin)
+        console.print(table(result))
+        if result.error is not None:
+            console.print(result.error, style="red", markup=False, highlight=False)
+        console.print(f"Results in {self.out}", highlight=False, soft_wrap=True)
+        return result
+
+    def _progress(self) -> Progress:
+        return Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed:.1f} s"),
+            TimeElapsedColumn(),
+            console=self._console,
+            transient=True,
+            disable=not self._console.is_terminal,
+        )
+
+    def _keep(self, result: EpisodeResult, recorder: Recorder | None, draw: Draw) -> None:
+        if self._figure and recorder is not None:
+            states = np.array(recorder.states)
+            self._drawings.append((result, states, draw.gates, draw.obstacles))
+
+    def _draw_figures(self) -> None:
+        """Matplotlib is slow to import, so it comes last."""
+        if not self._drawings:
+            return
+        from crazyarena.runner.figure import save_figure
+
+        for result, states, gates, obstacles in self._drawings:
+            file = self.out / f"episode_{result.index:03d}.png"
+            save_figure(file, self._level, result, states, gates, obstacles)
+            result.files["figure"] = file.name

@@ -1,0 +1,87 @@
+"""The end of a trial: ``result.json`` and the table on the terminal."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import platform
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from crazyarena import __version__
+from crazyarena.levels import dump_level
+from crazyarena.levels.schema import Level
+from crazyarena.runner.result import FORMAT, TrialResult
+
+_PACKAGES = ("numpy", "numba", "scipy", "casadi", "torch", "cflib")
+
+
+def _versions() -> dict[str, str]:
+    versions = {"crazyarena": __version__, "python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def provenance(level: Level, seed: int, submission: Path, digest: str) -> dict[str, Any]:
+    """Everything needed to fly the same again."""
+    return {
+        "versions": _versions(),
+        "platform": platform.platform(),
+        "command": sys.argv[1:],
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "level": level.name,
+        "level_file": dump_level(level),
+        "profile": str(level.profile.value),
+        "seed": seed,
+        "submission": str(submission),
+        "submission_sha256": digest,
+    }
+
+
+def write_result(file: Path, result: TrialResult, origin: dict[str, Any]) -> None:
+    """Write ``result.json``; ``origin`` is what :func:`provenance` returns."""
+    document = {
+        "format": FORMAT,
+        "clean": result.clean,
+        "requested_episodes": result.requested,
+        "score": result.score(),
+        "episodes": [episode.as_dict() for episode in result.episodes],
+        "provenance": origin,
+    }
+    file.write_text(json.dumps(document, indent=2) + "\n")
+
+
+def table(result: TrialResult) -> Any:
+    """Rich table of the competition's summary fields, a row an episode."""
+    from rich.table import Table
+
+    shown = Table(title=None, header_style="bold")
+    shown.add_column("episode", justify="right")
+    shown.add_column("termination")
+    for name in ("flight time", "gates", "collisions", "violations", "reward"):
+        shown.add_column(name, justify="right")
+    shown.add_column("learning", justify="right")
+    shown.add_column("compute p50 / p99 / max", justify="right")
+    for e in result.episodes:
+        style = "green" if e.clean else "red"
+        c = e.compute_ms
+        compute = f"{c['p50']:.2f} / {c['p99']:.2f} / {c['max']:.2f} ms" if c else "-"
+        learning = e.interstep_learning_time + e.interepisode_learning_time
+        shown.add_row(
+            str(e.index + 1),
+            f"[{style}]{e.termination}[/{style}]",
+            f"{e.flight_time:.3f} s",
+            f"{e.gates_passed}/{e.gates}",
+            str(e.collisions),
+            str(e.violations),
+            f"{e.reward:.0f}",
+            f"{learning:.3f} s",
+            compute,
+        )
+    return shown

@@ -1,0 +1,127 @@
+"""What a trial comes to: plain records that go into ``result.json`` as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from crazyarena.runner.referee import TASK_COMPLETION, Event
+
+FINISHED = "FINISHED"
+CONTROLLER_ERROR = "CONTROLLER ERROR"
+INTERRUPTED = "INTERRUPTED"
+
+FORMAT = 1
+
+
+@dataclass
+class EpisodeResult:
+    """Summary of one episode, with the competition's fields first. Times in s.
+
+    flight_time is that of the last control step's start, as the competition counts it.
+    collisions and violations count control steps; compute_ms are percentiles of the wall time
+    of ``cmdFirmware``; late_ms of the start of control steps.
+    """
+
+    index: int
+    termination: str
+    flight_time: float
+    gates_passed: int
+    gates: int
+    completed: bool
+    collisions: int
+    violations: int
+    reward: float
+    interstep_learning_time: float
+    interstep_learning_average: float
+    interepisode_learning_time: float
+    steps: int
+    gate_times: list[float]
+    compute_ms: dict[str, float]
+    over_period: int
+    late_ms: dict[str, float]
+    skipped_steps: int
+    error: str | None = None
+    events: Sequence[Event] = field(default_factory=list)
+    files: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def clean(self) -> bool:
+        """Completed, never touched anything, never broke a constraint."""
+        return self.completed and self.collisions == 0 and self.violations == 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        data = asdict(self)
+        data["clean"] = self.clean
+        data["events"] = [
+            {"event": e.name, "tick": e.tick, "time": e.time, "detail": e.detail}
+            for e in self.events
+        ]
+        return data
+
+
+@dataclass
+class TrialResult:
+    """All episodes of a trial."""
+
+    episodes: list[EpisodeResult]
+    requested: int
+
+    @property
+    def clean(self) -> bool:
+        """Every requested episode was flown, and cleanly."""
+        return len(self.episodes) == self.requested and all(e.clean for e in self.episodes)
+
+    @property
+    def error(self) -> str | None:
+        """Traceback or message of the controller's failure, if it failed."""
+        return next((e.error for e in self.episodes if e.error is not None), None)
+
+    def score(self) -> dict[str, Any]:
+        """The competition's two measures; None where the last episode does not qualify.
+
+        A: flight time of the last episode. B: flight time of all episodes plus learning time.
+        """
+        if not self.episodes:
+            return {"qualified": False, "A_flight_time": None, "B_total_time": None}
+        last = self.episodes[-1]
+        qualified = last.clean and len(self.episodes) == self.requested
+        total = sum(
+            e.flight_time + e.interstep_learning_time + e.interepisode_learning_time
+            for e in self.episodes
+        )
+        return {
+            "qualified": qualified,
+            "A_flight_time": last.flight_time if qualified else None,
+            "B_total_time": total if qualified else None,
+        }
+
+
+def percentiles_ms(seconds: np.ndarray) -> dict[str, float]:
+    """p50, p90, p99, max and mean in ms; empty when there is nothing to tell."""
+    if len(seconds) == 0:
+        return {}
+    p50, p90, p99 = np.percentile(seconds, [50, 90, 99]) * 1e3
+    return {
+        "p50": float(p50),
+        "p90": float(p90),
+        "p99": float(p99),
+        "max": float(seconds.max()) * 1e3,
+        "mean": float(seconds.mean()) * 1e3,
+    }
+
+
+__all__ = [
+    "CONTROLLER_ERROR",
+    "FINISHED",
+    "FORMAT",
+    "INTERRUPTED",
+    "TASK_COMPLETION",
+    "EpisodeResult",
+    "TrialResult",
+    "percentiles_ms",
+]
