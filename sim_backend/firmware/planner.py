@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+
 from crazyarena.sim_backend.firmware.polynomial import (
     EV_ACC,
     EV_OMEGA,
@@ -87,7 +88,7 @@ def _read_float(memory, at):
 
 @kernel(_nrt=False)
 def _read_int16(memory, at):
-    value = np.int64(memory[at]) | (np.int64(memory[at + 1]) << 8)
+    value = int(memory[at]) | (int(memory[at + 1]) << 8)
     return float(value - 65536 if value >= 32768 else value)
 
 
@@ -170,8 +171,8 @@ def _next_segment(mem, memory):
     mem[PL_FROM] = mem[PL_TO]
     milliseconds = 0
     if at + SEGMENT_HEAD_BYTES <= TRAJECTORY_MEMORY_SIZE:
-        kinds = np.int64(memory[at])
-        milliseconds = np.int64(memory[at + 1]) | (np.int64(memory[at + 2]) << 8)
+        kinds = int(memory[at])
+        milliseconds = int(memory[at + 1]) | (int(memory[at + 2]) << 8)
         at += SEGMENT_HEAD_BYTES
         total = 0
         for axis in range(4):
