@@ -1,0 +1,31 @@
+"""What the mocap side tells the watchdog, the recorder and the operator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class EventKind(StrEnum):
+    """Kinds of :class:`MocapEvent`; the value is what logs show."""
+
+    SOURCE_LIVE = "source_live"
+    SOURCE_STALE = "source_stale"
+    SOURCE_RECONNECTED = "source_reconnected"
+    FRAMES_LOST = "frames_lost"
+    BODY_TRACKED = "body_tracked"
+    BODY_STALE = "body_stale"
+    BODY_RECOVERED = "body_recovered"
+    JUMP_REJECTED = "jump_rejected"
+    FLIP_REJECTED = "flip_rejected"
+    SWAP_CORRECTED = "swap_corrected"
+
+
+@dataclass(frozen=True, slots=True)
+class MocapEvent:
+    """One occurrence: ``time`` s on the session clock, ``body`` None for the whole source."""
+
+    time: float
+    kind: EventKind
+    body: str | None
+    message: str

@@ -1,0 +1,192 @@
+"""The pose source: the one interface behind which camera systems, logs and simulation differ."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any, Protocol, runtime_checkable
+
+from crazyarena.clock import Clock
+from crazyarena.errors import InputError
+from crazyarena.types import PoseFrame
+
+
+class SourceState(StrEnum):
+    """Connection of a source, as far as the source itself can tell."""
+
+    CONNECTING = "connecting"
+    LIVE = "live"
+    LOST = "lost"
+    ENDED = "ended"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True, slots=True)
+class SourceStatus:
+    """Counters since the source was opened.
+
+    lost: gaps in the frame ids; dropped: frames thrown away because nobody fetched them;
+    malformed: payloads that could not be read; error: the last trouble in words.
+    """
+
+    state: SourceState = SourceState.CONNECTING
+    frames: int = 0
+    lost: int = 0
+    dropped: int = 0
+    malformed: int = 0
+    reconnects: int = 0
+    error: str | None = None
+
+
+@runtime_checkable
+class PoseSource(Protocol):
+    """Where pose frames come from. One thread may call ``frames``; any may call ``close``."""
+
+    def frames(self, timeout: float = 0.0) -> list[PoseFrame]:
+        """Return every frame that arrived since the last call, in order.
+
+        Waits up to ``timeout`` s for the first one; an empty list means none came, or that
+        the source was closed. Sources on virtual time never wait.
+        """
+        ...
+
+    @property
+    def status(self) -> SourceStatus:
+        """Present connection state and counters."""
+        ...
+
+    def close(self) -> None:
+        """Release everything within a second; idempotent; wakes a waiting ``frames``."""
+        ...
+
+
+class FrameQueue:
+    """Hands frames from a receiving thread to the one that fetches, and counts what is lost.
+
+    Parameters
+    ----------
+    capacity: frames kept when nobody fetches; beyond it the oldest are dropped and counted.
+    """
+
+    def __init__(self, capacity: int = 8192) -> None:
+        self._frames: deque[PoseFrame] = deque()
+        self._capacity = capacity
+        self._ready = threading.Condition(threading.Lock())
+        self._last_id: int | None = None
+        self._status = SourceStatus()
+
+    @property
+    def status(self) -> SourceStatus:
+        return self._status
+
+    def put(self, frame: PoseFrame) -> None:
+        with self._ready:
+            status = self._status
+            if status.state is SourceState.CLOSED:
+                return
+            lost = 0
+            reconnects = status.reconnects
+            if self._last_id is not None:
+                lost = frame.frame_id - self._last_id - 1
+                if lost < 0:
+                    # Ids only fall when the sender started anew.
+                    lost = 0
+                    reconnects += 1
+            self._last_id = frame.frame_id
+            dropped = status.dropped
+            if len(self._frames) >= self._capacity:
+                self._frames.popleft()
+                dropped += 1
+            self._frames.append(frame)
+            self._status = SourceStatus(
+                SourceState.LIVE,
+                status.frames + 1,
+                status.lost + lost,
+                dropped,
+                status.malformed,
+                reconnects,
+                status.error,
+            )
+            self._ready.notify()
+
+    def note(self, state: SourceState | None = None, **changes: Any) -> None:
+        """Change the state or counters; a closed queue stays closed."""
+        with self._ready:
+            if self._status.state is SourceState.CLOSED:
+                return
+            if state is not None:
+                changes["state"] = state
+            self._status = replace(self._status, **changes)
+            if state in (SourceState.CLOSED, SourceState.ENDED):
+                self._ready.notify_all()
+
+    def reject(self, reason: str) -> None:
+        """Count one malformed payload."""
+        with self._ready:
+            self._status = replace(
+                self._status, malformed=self._status.malformed + 1, error=reason
+            )
+
+    def forget_ids(self) -> None:
+        """Expect the ids to start anew (after a reconnect that was noticed otherwise)."""
+        with self._ready:
+            self._last_id = None
+
+    def take(self, timeout: float) -> list[PoseFrame]:
+        with self._ready:
+            if not self._frames and timeout > 0:
+                self._ready.wait_for(
+                    lambda: (
+                        self._frames
+                        or self._status.state in (SourceState.CLOSED, SourceState.ENDED)
+                    ),
+                    timeout,
+                )
+            taken = list(self._frames)
+            self._frames.clear()
+        return taken
+
+    def close(self) -> None:
+        self.note(SourceState.CLOSED)
+
+
+def open_source(kind: str, *, clock: Clock, **options: Any) -> PoseSource:
+    """Open a pose source by name, as the command line and configuration files do.
+
+    Parameters
+    ----------
+    kind: ``zenoh``, ``replay``, or a type of the ``motioncapture`` package (``vicon``,
+        ``qualisys``, ``optitrack``, ``nokov``, ``fzmotion``, ``vrpn``, ...), whose own option
+        names (``hostname``, ``port``, ``interface_ip``, ...) are passed through.
+    clock: the session clock.
+    options: keyword arguments of the source's class.
+
+    Raises
+    ------
+    InputError: unknown kind or option.
+    DependencyMissing: the package behind the kind is not installed.
+    """
+    from crazyarena.mocap.motioncapture_source import VENDOR_TYPES, MotionCaptureSource
+    from crazyarena.mocap.replay import ReplaySource
+    from crazyarena.mocap.zenoh_link import ZenohSource
+
+    opener: Callable[..., PoseSource]
+    if kind in VENDOR_TYPES:
+        opener = MotionCaptureSource
+        options["vendor"] = kind
+    elif kind == "zenoh":
+        opener = ZenohSource
+    elif kind == "replay":
+        opener = ReplaySource
+    else:
+        known = ", ".join(["zenoh", "replay", *VENDOR_TYPES])
+        raise InputError(f"mocap source: found {kind!r}; choose one of {known}")
+    try:
+        return opener(clock=clock, **options)
+    except TypeError as error:
+        if "unexpected keyword argument" in str(error) or "missing" in str(error):
+            raise InputError(f"mocap source {kind}: {error}") from None
+        raise
