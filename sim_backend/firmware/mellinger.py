@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+
 from crazyarena.sim_backend.firmware.layout import (
     CT_PITCH,
     CT_ROLL,
