@@ -253,17 +253,16 @@ def evaluate_plan(mem, memory, t):
         evaluate(mem, PL_PIECE, u, rate, mem, PL_EVAL)
     if kind != KIND_PLANNED:
         if mem[PL_TURN] != 0.0 and mem[PL_REVERSED] == 0.0:
-            _turn(mem, EV_POS)
-            _turn(mem, EV_VEL)
-            _turn(mem, EV_ACC)
+            _turn(mem, PL_EVAL + EV_POS)
+            _turn(mem, PL_EVAL + EV_VEL)
+            _turn(mem, PL_EVAL + EV_ACC)
             mem[PL_EVAL + EV_YAW] += mem[PL_TURN]
         for k in range(3):
             mem[PL_EVAL + EV_POS + k] += mem[PL_SHIFT + k]
 
 
 @kernel(_nrt=False)
-def _turn(mem, vector):
-    at = PL_EVAL + vector
+def _turn(mem, at):
     x = mem[at]
     y = mem[at + 1]
     mem[at] = mem[PL_TURN + 1] * x - mem[PL_TURN + 2] * y
@@ -298,23 +297,20 @@ def plan_point_to_point(mem, t, duration, pos, yaw, end_vel, end_yaw_rate):
     _follow(mem, KIND_PLANNED, t)
     duration = np.float32(duration)
     mem[PL_PIECE + PIECE_DURATION] = duration
-    for axis in range(3):
-        plan_axis(
-            mem,
-            PL_PIECE,
-            axis,
-            duration,
-            mem[PL_EVAL + EV_POS + axis],
-            mem[PL_EVAL + EV_VEL + axis],
-            mem[PL_EVAL + EV_ACC + axis],
-            pos[axis],
-            end_vel[axis],
-            0.0,
-        )
-    yaw_rate = mem[PL_EVAL + EV_OMEGA + 2]
-    plan_axis(
-        mem, PL_PIECE, 3, duration, mem[PL_EVAL + EV_YAW], yaw_rate, 0.0, yaw, end_yaw_rate, 0.0
-    )
+    for axis in range(4):
+        if axis < 3:
+            p0 = mem[PL_EVAL + EV_POS + axis]
+            v0 = mem[PL_EVAL + EV_VEL + axis]
+            a0 = mem[PL_EVAL + EV_ACC + axis]
+            p1 = pos[axis]
+            v1 = end_vel[axis]
+        else:
+            p0 = mem[PL_EVAL + EV_YAW]
+            v0 = mem[PL_EVAL + EV_OMEGA + 2]
+            a0 = 0.0
+            p1 = yaw
+            v1 = end_yaw_rate
+        plan_axis(mem, PL_PIECE, axis, duration, p0, v0, a0, p1, v1, 0.0)
 
 
 @kernel(_nrt=False)
@@ -340,13 +336,27 @@ def plan_spiral(mem, t, duration, sideways, clockwise, angle, radius0, radius1, 
     end_yaw = yaw - s * angle
     start = _arc_point(sideways, s, r0, yaw, w, dr)
     end = _arc_point(sideways, s, r1, end_yaw, w, dr)
-    cx = pos[0] - start[0]
-    cy = pos[1] - start[1]
-    plan_axis(mem, PL_PIECE, 0, duration, pos[0], start[2], start[4], cx + end[0], end[2], end[4])
-    plan_axis(mem, PL_PIECE, 1, duration, pos[1], start[3], start[5], cy + end[1], end[3], end[5])
     vz = climb * inverse
-    plan_axis(mem, PL_PIECE, 2, duration, pos[2], vz, 0.0, pos[2] + climb, vz, 0.0)
-    plan_axis(mem, PL_PIECE, 3, duration, yaw, w, 0.0, end_yaw, w, 0.0)
+    # x, y, z and yaw at the start and at the end.
+    p0 = (pos[0], pos[1], pos[2], yaw)
+    v0 = (start[2], start[3], vz, w)
+    a0 = (start[4], start[5], 0.0, 0.0)
+    p1 = (pos[0] - start[0] + end[0], pos[1] - start[1] + end[1], pos[2] + climb, end_yaw)
+    v1 = (end[2], end[3], vz, w)
+    a1 = (end[4], end[5], 0.0, 0.0)
+    for axis in range(4):
+        plan_axis(
+            mem,
+            PL_PIECE,
+            axis,
+            duration,
+            p0[axis],
+            v0[axis],
+            a0[axis],
+            p1[axis],
+            v1[axis],
+            a1[axis],
+        )
 
 
 @kernel(_nrt=False)

@@ -145,9 +145,10 @@ def evaluate(row, base, t, rate, out, to):
     for k in range(6, -1, -1):
         d = d * t + yaw
         yaw = yaw * t + row[at + k]
-    px, vx, ax, jx = _evaluate_axis(row, base, t, rate)
-    py, vy, ay, jy = _evaluate_axis(row, base + 8, t, rate)
-    pz, vz, az, jz = _evaluate_axis(row, base + 16, t, rate)
+    # Counted from `at`, a plain int: Numba compiles anew for every constant passed as such.
+    px, vx, ax, jx = _evaluate_axis(row, at - 24, t, rate)
+    py, vy, ay, jy = _evaluate_axis(row, at - 16, t, rate)
+    pz, vz, az, jz = _evaluate_axis(row, at - 8, t, rate)
     roll, pitch, turn = body_rates((ax, ay, az), (jx, jy, jz), yaw, d * rate)
     out[to + EV_POS] = px
     out[to + EV_POS + 1] = py
