@@ -57,7 +57,7 @@ class Crazyflie(VehicleCore):
 
     Attributes: ``id``, ``initialPosition`` (3,) m, ``prefix``; in simulation also
     ``groupMask``, ``trajectories`` (by id) and ``ledRGB``, and with perfect tracking ``mode``,
-    ``state`` and ``setState``.
+    ``planner``, ``state`` and ``setState``.
     """
 
     MODE_IDLE = 0
@@ -183,6 +183,11 @@ class Crazyflie(VehicleCore):
     def setState(self) -> IdealState:
         """Setpoint of the latest tick (perfect tracking only)."""
         return self._inspect("setState").setpoint(self.id)
+
+    @property
+    def planner(self) -> Any:
+        """Planner of the high-level commander, with its ``state`` (perfect tracking only)."""
+        return self._inspect("planner").planner(self.id)
 
     def velocity(self) -> NDArray[np.float64]:
         """Velocity (3,) m/s, world."""

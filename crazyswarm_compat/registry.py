@@ -10,7 +10,8 @@ from __future__ import annotations
 import importlib
 import math
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from types import ModuleType
+from typing import Any, Protocol, runtime_checkable
 
 from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat.backend import Backend
@@ -56,7 +57,11 @@ class InspectableBackend(Backend, Protocol):
         ...
 
     def mode(self, vehicle: int) -> int:
-        """Flight mode, 0..4: idle, high-level, full state, position, velocity."""
+        """Flight mode, 0..5: idle, high-level, full state, position, velocity, hover."""
+        ...
+
+    def planner(self, vehicle: int) -> Any:
+        """Planner of the high-level commander, as in the firmware bindings."""
         ...
 
 
@@ -72,6 +77,8 @@ ENTRIES: dict[str, str] = {
     "pybullet": "crazyarena.sim_backend.physics.pybullet_engine:open_pybullet",
     "radio": "crazyarena.crazyswarm_compat.radio:open_radio",
 }
+# The firmware's planner by the names of its Python bindings, for scripts that plan by themselves.
+BINDINGS = "crazyarena.sim_backend.bindings"
 SIMULATED = frozenset({"ideal", "sim", "pybullet"})  # these run on a virtual clock
 
 
@@ -103,3 +110,8 @@ def open_backend(
             f"backend {name!r}: {ENTRIES[name]} is not part of this installation ({error})"
         ) from error
     return factory(fleet, clock, options or SimOptions())
+
+
+def firmware_bindings() -> ModuleType:
+    """Module :data:`BINDINGS`, imported only now."""
+    return importlib.import_module(BINDINGS)

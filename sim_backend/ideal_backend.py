@@ -20,6 +20,7 @@ from crazyarena.crazyswarm_compat.checks import UnknownTrajectory, check, verb
 from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
 from crazyarena.crazyswarm_compat.registry import IdealState, SimOptions
 from crazyarena.errors import BackendError, CommandError
+from crazyarena.sim_backend.bindings import planner
 from crazyarena.sim_backend.firmware import collision_avoidance, high_level
 from crazyarena.sim_backend.firmware.layout import SETPOINT_SIZE
 from crazyarena.sim_backend.firmware.parameters import Param
@@ -198,10 +199,10 @@ class IdealBackend:
         """Flight mode, one of the ``MODE_`` constants of the engine."""
         return int(self._modes[self._at(vehicle)])
 
-    def planner(self, vehicle: int) -> tuple[np.ndarray, np.ndarray]:
-        """Planner row and trajectory memory of one vehicle (views)."""
+    def planner(self, vehicle: int) -> planner:
+        """Planner of one vehicle; it shares the vehicle's memory."""
         index = self._at(vehicle)
-        return self._planner[index], self._memory[index]
+        return planner(self._planner[index], self._memory[index])
 
     def param_names(self, vehicle: int) -> Sequence[str]:
         """Names of all parameters that :meth:`get_param` knows."""

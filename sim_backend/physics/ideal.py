@@ -180,15 +180,22 @@ def follow_setpoint(mode, setpoint, dt, max_velocity, disturbance, noise, state)
 
 
 @kernel(_nrt=False)
-def _avoid(mode, avoidance, memory, own, positions, peers, vehicle, setpoint, work):
-    """Bend a setpoint around the peers; what is left of it is position, velocity and yaw."""
-    found, faces, sp = work
+def _gather_peers(positions, peers, vehicle, found):
+    # A count that starts as a literal in the caller would have its callees compiled twice.
     count = 0
     for other in range(positions.shape[0]):
         if peers[vehicle, other]:
             for k in range(3):
                 found[count, k] = positions[other, k]
             count += 1
+    return count
+
+
+@kernel(_nrt=False)
+def _avoid(mode, avoidance, memory, own, positions, peers, vehicle, setpoint, work):
+    """Bend a setpoint around the peers; what is left of it is position, velocity and yaw."""
+    found, faces, sp = work
+    count = _gather_peers(positions, peers, vehicle, found)
     sp[M_X] = SP_MODE_VELOCITY if mode >= MODE_VELOCITY else MODE_ABS
     for k in range(3):
         sp[SP_POS + k] = setpoint[MO_POS + k]
