@@ -75,7 +75,7 @@ def _shown(value: Any) -> str:
 def _number(value: Any, verb: str, argument: str, step: int, positive: bool = False) -> float:
     try:
         number = float(value) if not isinstance(value, np.ndarray) else float(value.item())
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise CommandError(
             f"step {step}: {verb} argument '{argument}' is {_shown(value)}; expected one number"
         ) from error
@@ -94,7 +94,7 @@ def _vector(value: Any, verb: str, argument: str, step: int) -> NDArray[np.float
     try:
         # A copy: the controller may go on writing to its own array.
         vector = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise CommandError(
             f"step {step}: {verb} argument '{argument}' is {_shown(value)}; expected three numbers"
         ) from error
@@ -110,8 +110,7 @@ def _vector(value: Any, verb: str, argument: str, step: int) -> NDArray[np.float
         math.isfinite(x) and math.isfinite(y) and math.isfinite(z)
     ):
         raise CommandError(
-            f"step {step}: {verb} argument '{argument}' is [{x}, {y}, {z}]; "
-            "expected finite numbers"
+            f"step {step}: {verb} argument '{argument}' is [{x}, {y}, {z}]; expected finite numbers"
         )
     return vector
 

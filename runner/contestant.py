@@ -65,9 +65,7 @@ def submission_hash(path: Path) -> str:
         digest.update(path.read_bytes())
         return digest.hexdigest()
     for root, folders, files in os.walk(path):
-        folders[:] = sorted(
-            f for f in folders if f not in _IGNORED and not f.startswith(".")
-        )
+        folders[:] = sorted(f for f in folders if f not in _IGNORED and not f.startswith("."))
         for name in sorted(files):
             file = Path(root) / name
             if name.startswith(".") or not file.is_file():
@@ -258,10 +256,7 @@ def own_traceback(error: BaseException) -> str:
         frame
         for frame in traceback.extract_tb(error.__traceback__)
         if not frame.filename.startswith("<frozen importlib")
-        and (
-            not frame.filename.startswith(here)
-            or frame.filename.startswith(str(shims.CONTRACT))
-        )
+        and (not frame.filename.startswith(here) or frame.filename.startswith(str(shims.CONTRACT)))
     ]
     lines = ["Traceback (most recent call last):\n", *traceback.format_list(frames)]
     lines += traceback.format_exception_only(type(error), error)

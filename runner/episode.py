@@ -138,6 +138,7 @@ class Episode:
         learn = getattr(self._controller, "interStepLearn", None)
         send = self._world.send
         poll, judge = self._world.poll, self._referee.judge
+        forces = self._world.motor_forces
         now, wait = self._wall.now, self._scheduler.wait
         recorder, interrupt, on_step = self._recorder, self._interrupt, self._on_step
         compute, learning = self._compute, self._learning
@@ -193,7 +194,7 @@ class Episode:
                 try:
                     interrupt.in_controller = True
                     started = now()
-                    learn(verdict.action(), verdict.state(), reward, done, info)
+                    learn(forces(), verdict.state(), reward, done, info)
                     learning.add(now() - started)
                 except (Exception, SystemExit) as error:
                     return self._failed(own_traceback(error), time, "interStepLearn", step), obs

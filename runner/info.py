@@ -91,7 +91,6 @@ class Canvas:
             self._client = None
 
 
-
 def initial_info(level: Level, canvas: Canvas, start: np.ndarray) -> InitialInfo:
     """Build the dictionary.
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from crazyarena.runner.verdict_row import (
     VD_AT_GOAL,
     VD_COMPLETED,
@@ -130,7 +132,7 @@ def _first_violation(rules, row):
 
 
 @kernel
-def _passes(rules, memory, row, scene, blocked, work):
+def _passes(memory, row, scene, blocked, work):
     """The gate test of one tick, for the gate that is next."""
     gate = int(memory[ME_GATE])
     if blocked[gate] > 0.0:
@@ -151,7 +153,7 @@ def _passes(rules, memory, row, scene, blocked, work):
 
 
 @kernel
-def _contact(rules, row, scene, ground, work):
+def _contact(row, scene, ground, work):
     if row[TR_CONTACT] != UNKNOWN_CONTACT:
         return row[TR_CONTACT]
     p, q = TR_POS, TR_QUAT
@@ -220,7 +222,7 @@ def describe(rules, memory, row, scene, gates, nominal, work, out):
         mse += (row[TR_POS + i] - rules[RU_GOAL + i]) ** 2
     out[VD_MSE] = mse
     for i in range(14):
-        out[VD_CONSTRAINTS + i] = round(_constraint(rules, row, i) * _ROUND) / _ROUND
+        out[VD_CONSTRAINTS + i] = np.rint(_constraint(rules, row, i) * _ROUND) / _ROUND
 
 
 @kernel
@@ -249,9 +251,9 @@ def judge(rules, memory, rows, scene, ground, blocked, gates, nominal, work, out
             dy = row[TR_POS + 1] - scene[header, S_CENTRE + 1]
             reach = scene[header, S_RADIUS] + 0.1
             memory[ME_BONUS] = 0.0
-            if (
-                dx * dx + dy * dy < reach * reach or blocked[gate] > 0.0
-            ) and _passes(rules, memory, row, scene, blocked, work):
+            if (dx * dx + dy * dy < reach * reach or blocked[gate] > 0.0) and _passes(
+                memory, row, scene, blocked, work
+            ):
                 memory[ME_BONUS] = 1.0
                 memory[ME_GATE] = -1.0 if gate + 1 >= n_gates else gate + 1.0
                 n_events = _note(events, n_events, EV_GATE, tick, time, gate)
@@ -277,7 +279,7 @@ def judge(rules, memory, rows, scene, ground, blocked, gates, nominal, work, out
                 n_events = _note(events, n_events, EV_LEFT_GOAL, tick, time, 0.0)
         memory[ME_AT_GOAL] = at_goal
 
-        contact = _contact(rules, row, scene, ground, work)
+        contact = _contact(row, scene, ground, work)
         if contact != memory[ME_CONTACT]:
             if contact == NO_CONTACT:
                 n_events = _note(events, n_events, EV_CONTACT_END, tick, time, memory[ME_CONTACT])

@@ -62,7 +62,7 @@ class Batch:
     """Framed messages of one channel: bytes, log times (ns) and offsets into the bytes."""
 
     channel: int
-    data: bytes
+    data: bytes | memoryview
     times: NDArray[np.uint64]
     offsets: NDArray[np.uint64]
 
@@ -97,7 +97,7 @@ def cdr_batch(
     framed["encapsulation"] = CDR_LITTLE_ENDIAN
     framed["payload"] = rows
     offsets = np.arange(n, dtype=np.uint64) * np.uint64(framed.itemsize)
-    return Batch(channel, framed.tobytes(), times.astype(np.uint64), offsets)
+    return Batch(channel, framed.view(np.uint8).data, times.astype(np.uint64), offsets)
 
 
 def message(channel: int, sequence: int, time: int, payload: bytes) -> Batch:
@@ -134,7 +134,7 @@ class McapWriter:
     def __post_init__(self) -> None:
         self._write(preamble(self.channels, self.library))
 
-    def _write(self, data: bytes) -> int:
+    def _write(self, data: bytes | memoryview) -> int:
         start = self._position
         self.stream.write(data)
         self._position += len(data)
@@ -164,20 +164,24 @@ class McapWriter:
         end = max(int(batch.times.max()) for batch in batches)
         self._start = start if self._start is None else min(self._start, start)
         self._end = max(self._end, end)
-        records = b"".join(batch.data for batch in batches)
-        content = struct.pack("<QQQI", start, end, len(records), zlib.crc32(records))
-        content += _string("") + struct.pack("<Q", len(records)) + records
-        chunk = _record(_CHUNK, content)
-        chunk_start = self._write(chunk)
+        crc = 0
+        for batch in batches:
+            crc = zlib.crc32(batch.data, crc)
+        head = struct.pack("<QQQI", start, end, base, crc) + _string("") + struct.pack("<Q", base)
+        # Written piece by piece: joining megabytes costs as much as recording them.
+        chunk_start = self._write(struct.pack("<BQ", _CHUNK, len(head) + base) + head)
+        for batch in batches:
+            self._write(batch.data)
+        chunk_length = self._position - chunk_start
         offsets = b""
         index_start = self._position
         for channel, parts in index.items():
             entries = np.concatenate(parts).astype("<u8").tobytes()
             at = self._write(_record(_MESSAGE_INDEX, struct.pack("<H", channel) + _string(entries)))
             offsets += struct.pack("<HQ", channel, at)
-        content = struct.pack("<QQQQ", start, end, chunk_start, len(chunk)) + _string(offsets)
+        content = struct.pack("<QQQQ", start, end, chunk_start, chunk_length) + _string(offsets)
         content += struct.pack("<Q", self._position - index_start) + _string("")
-        content += struct.pack("<QQ", len(records), len(records))
+        content += struct.pack("<QQ", base, base)
         self._chunks.append(_record(_CHUNK_INDEX, content))
 
     def finish(self) -> None:

@@ -42,7 +42,6 @@ from crazyarena.sim_backend.physics.geometry import make_workspace
 from crazyarena.sim_backend.physics.scene import build_scene
 from crazyarena.sim_backend.trace import (
     NO_CONTACT,
-    TR_ACTION,
     TR_OMEGA,
     TR_POS,
     TR_RPY,
@@ -144,10 +143,6 @@ class Verdict:
         state[6:9] = last[TR_RPY : TR_RPY + 3]
         state[9:12] = last[TR_OMEGA : TR_OMEGA + 3]
         return state
-
-    def action(self) -> Array:
-        """(4,) rotor forces asked for during the last tick, N."""
-        return self._last[TR_ACTION : TR_ACTION + 4].copy()
 
 
 def observation(state: Array) -> list[Any]:

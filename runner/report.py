@@ -61,27 +61,25 @@ def table(result: TrialResult) -> Any:
     """Rich table of the competition's summary fields, a row an episode."""
     from rich.table import Table
 
-    shown = Table(title=None, header_style="bold")
-    shown.add_column("episode", justify="right")
-    shown.add_column("termination")
-    for name in ("flight time", "gates", "collisions", "violations", "reward"):
-        shown.add_column(name, justify="right")
-    shown.add_column("learning", justify="right")
-    shown.add_column("compute p50 / p99 / max", justify="right")
+    shown = Table(header_style="bold")
+    shown.add_column("#", justify="right")
+    shown.add_column("termination", no_wrap=True)
+    for name in ("time\ns", "gates", "colli-\nsions", "viola-\ntions", "reward", "learning\ns"):
+        shown.add_column(name, justify="right", no_wrap=True)
+    shown.add_column("compute ms\np50/p99/max", justify="right", no_wrap=True)
     for e in result.episodes:
         style = "green" if e.clean else "red"
         c = e.compute_ms
-        compute = f"{c['p50']:.2f} / {c['p99']:.2f} / {c['max']:.2f} ms" if c else "-"
         learning = e.interstep_learning_time + e.interepisode_learning_time
         shown.add_row(
             str(e.index + 1),
             f"[{style}]{e.termination}[/{style}]",
-            f"{e.flight_time:.3f} s",
+            f"{e.flight_time:.3f}",
             f"{e.gates_passed}/{e.gates}",
             str(e.collisions),
             str(e.violations),
             f"{e.reward:.0f}",
-            f"{learning:.3f} s",
-            compute,
+            f"{learning:.3f}",
+            f"{c['p50']:.2g}/{c['p99']:.2g}/{c['max']:.2g}" if c else "-",
         )
     return shown

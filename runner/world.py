@@ -33,6 +33,10 @@ class World(Protocol):
         """Rows (k, TRACE_SIZE) of the ticks since the last call, oldest first."""
         ...
 
+    def motor_forces(self) -> NDArray[np.float64]:
+        """(4,) rotor forces (N) the firmware asked for last; NaN where nobody knows them."""
+        ...
+
     def close(self) -> None:
         """Release what the world holds; idempotent."""
         ...
