@@ -8,6 +8,7 @@ ended.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -462,26 +463,19 @@ def flat_attitude(acc: Vector, yaw: float) -> Vector:
     """Quaternion x, y, z, w of a vehicle whose thrust gives ``acc`` (3,) m/s² at ``yaw`` rad."""
     tx, ty, tz = float(acc[0]), float(acc[1]), float(acc[2]) + 9.81
     half = 0.5 * float(yaw)
-    cos, sin = float(np.cos(half)), float(np.sin(half))
-    # Thrust direction seen from the heading; there, the attitude is pitch after roll.
+    cos, sin = math.cos(half), math.sin(half)
+    # Thrust direction, seen from the heading.
     c2, s2 = cos * cos - sin * sin, 2 * sin * cos
-    length = float(np.sqrt(tx * tx + ty * ty + tz * tz))
+    length = math.sqrt(tx * tx + ty * ty + tz * tz)
     if length < 1e-9:  # free fall: any attitude will do
         return np.array([0.0, 0.0, sin, cos])
     zx, zy, zz = (c2 * tx + s2 * ty) / length, (c2 * ty - s2 * tx) / length, tz / length
-    # y_b = z_b x heading is normal to the heading: a roll about it, then a pitch.
-    pitch = np.arctan2(zx, zz)
-    roll = np.arctan2(-zy, np.hypot(zx, zz))
-    cr, sr = float(np.cos(roll / 2)), float(np.sin(roll / 2))
-    cp, sp = float(np.cos(pitch / 2)), float(np.sin(pitch / 2))
-    return np.array(
-        [
-            sr * cp * cos - cr * sp * sin,
-            cr * sp * cos + sr * cp * sin,
-            cr * cp * sin - sr * sp * cos,
-            cr * cp * cos + sr * sp * sin,
-        ]
-    )
+    # y_b = z_b x heading has no part along the heading: a roll about it comes first, then pitch.
+    roll = 0.5 * math.atan2(-zy, zz)
+    pitch = 0.5 * math.atan2(zx, math.hypot(zy, zz))
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    x, y, z, w = sr * cp, cr * sp, sr * sp, cr * cp
+    return np.array([cos * x - sin * y, cos * y + sin * x, cos * z + sin * w, cos * w - sin * z])
 
 
 def open_ideal(fleet: FleetConfig, clock: Clock, options: SimOptions) -> IdealBackend:
