@@ -133,18 +133,23 @@ class DryRun:
                     on_step=display,
                     on_episode=self._keep,
                 ).run()
-        finally:
-            # Folders that stayed empty say nothing.
-            for folder in (self.out / "work", self.out):
-                with contextlib.suppress(OSError):
-                    folder.rmdir()
+        except BaseException:
+            self._remove_if_empty(self.out / "work", self.out)
+            raise
+        self._remove_if_empty(self.out / "work")
         self._draw_figures()
         write_result(self.out / "result.json", result, origin)
         console.print(table(result))
         if result.error is not None:
-            console.print(result.error, style="red", markup=False, highlight=False)
+            console.print(result.error, style="red", markup=False, highlight=False, soft_wrap=True)
         console.print(f"Results in {self.out}", highlight=False, soft_wrap=True)
         return result
+
+    @staticmethod
+    def _remove_if_empty(*folders: Path) -> None:
+        for folder in folders:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
     def _progress(self) -> Progress:
         return Progress(

@@ -35,7 +35,7 @@ class InitialInfo(dict[str, Any]):
         return self._made(key, super().__getitem__(key))
 
     def get(self, key: str, default: Any = None) -> Any:
-        return self[key] if key in self else default
+        return self._made(key, super().get(key, default))
 
     def pop(self, key: str, *default: Any) -> Any:
         if key in self:

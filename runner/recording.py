@@ -58,7 +58,7 @@ float64[13] asked_args
 float64 sent
 float64[13] sent_args
 """
-# A PoseStamped whose frame id is "map": with the NUL that is 16 bytes, so that CDR needs no padding.
+# A PoseStamped whose frame id is "map": with its NUL the head is 16 bytes and needs no padding.
 _POSE_FIELDS = """\
 std_msgs/Header header
 geometry_msgs/Pose pose

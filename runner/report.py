@@ -59,14 +59,15 @@ def write_result(file: Path, result: TrialResult, origin: dict[str, Any]) -> Non
 
 def table(result: TrialResult) -> Any:
     """Rich table of the competition's summary fields, a row an episode."""
+    from rich import box
     from rich.table import Table
 
-    shown = Table(header_style="bold")
+    shown = Table(box=box.SIMPLE, header_style="bold", collapse_padding=True, pad_edge=False)
     shown.add_column("#", justify="right")
     shown.add_column("termination", no_wrap=True)
-    for name in ("time\ns", "gates", "colli-\nsions", "viola-\ntions", "reward", "learning\ns"):
+    for name in ("time s", "gates", "coll.", "viol.", "reward", "learn s"):
         shown.add_column(name, justify="right", no_wrap=True)
-    shown.add_column("compute ms\np50/p99/max", justify="right", no_wrap=True)
+    shown.add_column("compute ms\np50/max", justify="right", no_wrap=True)
     for e in result.episodes:
         style = "green" if e.clean else "red"
         c = e.compute_ms
@@ -80,6 +81,6 @@ def table(result: TrialResult) -> Any:
             str(e.violations),
             f"{e.reward:.0f}",
             f"{learning:.3f}",
-            f"{c['p50']:.2g}/{c['p99']:.2g}/{c['max']:.2g}" if c else "-",
+            f"{c['p50']:.2g}/{c['max']:.2g}" if c else "-",
         )
     return shown

@@ -81,6 +81,10 @@ class CompetitionWorld:
         self._pending.clear()
         return rows
 
+    def motor_forces(self) -> Array:
+        """(4,) rotor forces the firmware asks of the next tick, N; order as in the trace."""
+        return self._firmware[0, core.F_ACTION : core.F_ACTION + 4].copy()
+
     def close(self) -> None:
         """Stop following the clock; idempotent."""
         if self._unregister is not None:

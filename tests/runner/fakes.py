@@ -99,7 +99,7 @@ class Command(Enum):
     NOTIFYSETPOINTSTOP = 6
 
 class Controller:
-    def __init__(self, initial_obs, initial_info, use_firmware=False, buffer_size=100, verbose=False):
+    def __init__(self, initial_obs, initial_info, use_firmware=False, verbose=False):
         self.calls = []
         {init}
 

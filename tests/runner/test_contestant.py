@@ -127,7 +127,7 @@ class TestHygiene:
         )
         with Submission(folder, tmp_path / "work"):
             assert os.getcwd() == str(tmp_path / "work")
-            assert np.Inf == np.inf
+            assert np.inf == np.inf
         assert set(sys.modules) == modules
         assert sys.path == path
         assert os.getcwd() == cwd

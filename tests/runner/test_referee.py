@@ -167,7 +167,8 @@ class TestGoal:
 
     def test_radius_is_strict(self):
         goal = np.array(GOAL)
-        inside, outside = goal + [0.1499999, 0, 0], goal + [0.1500001, 0, 0]
+        east = np.array([1, 0, 0])
+        inside, outside = goal + 0.1499999 * east, goal + 0.1500001 * east
         assert no_gates().judge(rows([inside])).info["at_goal_position"] is True
         assert no_gates().judge(rows([outside])).info["at_goal_position"] is False
 
@@ -178,7 +179,7 @@ class TestGoal:
         assert referee.judge(slow[200:]).completed
 
     def test_mse_is_the_squared_distance(self):
-        position = np.array(GOAL) + [0.1, -0.2, 0.3]
+        position = np.add(GOAL, [0.1, -0.2, 0.3])
         assert no_gates().judge(rows([position])).info["mse"] == pytest.approx(0.14)
 
 
