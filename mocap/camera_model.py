@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from crazyarena.errors import InputError
+from crazyarena.mocap.rotations import multiply, rotate
 from crazyarena.types import Pose, Vector
 
 
@@ -76,26 +77,6 @@ class CameraModel:
             )
 
 
-def _multiply(a: Vector, b: Vector) -> Vector:
-    ax, ay, az, aw = a.tolist()
-    bx, by, bz, bw = b.tolist()
-    return np.array(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ]
-    )
-
-
-def rotate(quaternion: Vector, points: Vector) -> Vector:
-    """Rotate ``points`` (n, 3) by ``quaternion`` (4,) x, y, z, w."""
-    u = quaternion[:3]
-    t = 2.0 * np.cross(u, points)
-    return points + quaternion[3] * t + np.cross(u, t)
-
-
 class Camera:
     """A :class:`CameraModel` at work: holds the random stream and running disturbances.
 
@@ -136,14 +117,14 @@ class Camera:
         turn = np.empty(4)
         turn[:3] = rng.normal(0.0, 0.5, 3) * model.attitude_noise
         turn[3] = math.sqrt(max(0.0, 1.0 - float(turn[:3] @ turn[:3])))
-        quaternion = _multiply(pose.quaternion, turn)
+        quaternion = multiply(pose.quaternion, turn)
         if model.jump and rng.random() < model.jump:
             direction = rng.normal(0.0, 1.0, 3)
             position = position + direction / np.linalg.norm(direction) * model.jump_distance
         if model.flip and rng.random() < model.flip:
             half_turn = np.zeros(4)
             half_turn[rng.integers(3)] = 1.0
-            quaternion = _multiply(quaternion, half_turn)
+            quaternion = multiply(quaternion, half_turn)
         return Pose(position, quaternion / np.linalg.norm(quaternion))
 
     def _swapped(self, names: Sequence[str]) -> dict[str, str]:

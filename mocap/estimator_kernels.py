@@ -86,9 +86,7 @@ def _predict_covariance(row, at, dt, density):
         pp + 2.0 * dt * pv + d2 * (vv + pa) + d3 * va + 0.25 * d2 * d2 * aa
         + density * d3 * d2 / 20.0
     )  # fmt: skip
-    row[at + 1] = (
-        pv + dt * (vv + pa) + 1.5 * d2 * va + 0.5 * d3 * aa + density * d2 * d2 / 8.0
-    )
+    row[at + 1] = pv + dt * (vv + pa) + 1.5 * d2 * va + 0.5 * d3 * aa + density * d2 * d2 / 8.0
     row[at + 2] = pa + dt * va + 0.5 * d2 * aa + density * d3 / 6.0
     row[at + 3] = vv + 2.0 * dt * va + d2 * aa + density * d3 / 3.0
     row[at + 4] = va + dt * aa + 0.5 * density * d2

@@ -49,9 +49,7 @@ class McapPoses:
 
     def __init__(self, writer: Any, topic: str = TOPIC) -> None:
         self._writer = writer
-        self._channel = writer.register_channel(
-            topic=topic, message_encoding=ENCODING, schema_id=0
-        )
+        self._channel = writer.register_channel(topic=topic, message_encoding=ENCODING, schema_id=0)
 
     def write(self, frame: PoseFrame) -> None:
         self._writer.add_message(

@@ -126,9 +126,7 @@ class FrameQueue:
     def reject(self, reason: str) -> None:
         """Count one malformed payload."""
         with self._ready:
-            self._status = replace(
-                self._status, malformed=self._status.malformed + 1, error=reason
-            )
+            self._status = replace(self._status, malformed=self._status.malformed + 1, error=reason)
 
     def forget_ids(self) -> None:
         """Expect the ids to start anew (after a reconnect that was noticed otherwise)."""

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from crazyarena.errors import InputError
-from crazyarena.mocap.camera_model import rotate
+from crazyarena.mocap.rotations import quaternion_of, rotate
 from crazyarena.mocap.tracker_kernels import greedy_match
 from crazyarena.types import Pose, PoseFrame, Vector
 
@@ -154,6 +154,8 @@ class _TrackBook:
     def gates(self, time: float) -> Vector:
         config = self.config
         away = np.maximum(0.0, time - self.last_seen)
+        # Who has not started yet stands still.
+        away[[s is TrackState.WAITING for s in self.states]] = 0.0
         return np.minimum(config.gate + config.gate_growth * away, config.gate_limit)
 
     def settle(self, time: float, seen: Vector) -> list[tuple[str, TrackState, TrackState]]:
@@ -270,25 +272,6 @@ def _kabsch(model: Vector, measured: Vector, weight: Vector) -> tuple[Vector, Ve
     return rotation, measured_mean - np.einsum("bij,bj->bi", rotation, model_mean)
 
 
-def quaternion_of(matrix: Vector) -> Vector:
-    """Unit quaternion x, y, z, w of a rotation matrix (3, 3) (Shepperd 1978), w >= 0."""
-    m = matrix
-    trace = float(m[0, 0] + m[1, 1] + m[2, 2])
-    choices = [float(m[0, 0]), float(m[1, 1]), float(m[2, 2]), trace]
-    k = int(np.argmax(choices))
-    q = np.empty(4)
-    if k == 3:
-        q[:] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1.0 + trace
-    else:
-        i, j = (k + 1) % 3, (k + 2) % 3
-        q[k] = 1.0 + m[k, k] - m[i, i] - m[j, j]
-        q[i] = m[i, k] + m[k, i]
-        q[j] = m[j, k] + m[k, j]
-        q[3] = m[j, i] - m[i, j]
-    q /= np.linalg.norm(q)
-    return -q if q[3] < 0 else q
-
-
 def _turn(rotation: Vector) -> Vector:
     """Angle of rotation matrices (..., 3, 3), rad."""
     trace = np.trace(rotation, axis1=-2, axis2=-1)
@@ -387,16 +370,16 @@ class ConstellationTracker:
             points = np.einsum("bij,bkj->bki", rotation, model) + position[:, None]
             # The first match bridges the error of prediction, later ones only noise.
             reach = gates if round_number == 0 else np.minimum(gates, 0.02)
-            match = greedy_match(points, real, cloud, reach)
+            last, match = match, greedy_match(points, real, cloud, reach)
+            if round_number > 0 and np.array_equal(last, match):
+                break
             weight = (match >= 0).astype(float)
             matched = (match >= 0).sum(axis=1)
             enough = matched >= 3
             if not enough.any():
                 break
             picked = cloud[np.maximum(match, 0)]
-            new_rotation, new_position = _kabsch(
-                model[enough], picked[enough], weight[enough]
-            )
+            new_rotation, new_position = _kabsch(model[enough], picked[enough], weight[enough])
             rotation[enough] = new_rotation
             position[enough] = new_position
             rest = np.einsum("bij,bkj->bki", rotation, model) + position[:, None] - picked
@@ -470,9 +453,7 @@ class ConstellationTracker:
         self._motion.update(which, position)
         seen[which] = True
 
-    def _search(
-        self, i: int, cloud: Vector, used: Vector, gate: float, seen: Vector
-    ) -> None:
+    def _search(self, i: int, cloud: Vector, used: Vector, gate: float, seen: Vector) -> None:
         """Look for a vehicle of unknown heading among the markers nobody has claimed."""
         config, motion = self.config, self._motion
         free = np.flatnonzero(~used)

@@ -45,7 +45,7 @@ def open_session(connect: Sequence[str] = (), listen: Sequence[str] = ()) -> Any
             config.insert_json5("connect/timeout_ms", "0")
             config.insert_json5(
                 "connect/retry",
-                '{period_init_ms: 100, period_max_ms: 1000, period_increase_factor: 1.5}',
+                "{period_init_ms: 100, period_max_ms: 1000, period_increase_factor: 1.5}",
             )
         if listen:
             config.insert_json5("listen/endpoints", json.dumps(list(listen)))
@@ -96,9 +96,7 @@ class ZenohPublisher:
         """Send one frame; returns at once."""
         captured = self._stamps.to_host(frame.timestamp)
         self._publisher.put(
-            encode(
-                frame.frame_id, captured, host_time(), self._host, frame.bodies, frame.markers
-            )
+            encode(frame.frame_id, captured, host_time(), self._host, frame.bodies, frame.markers)
         )
 
     def close(self) -> None:

@@ -1,0 +1,80 @@
+"""Quaternions x, y, z, w (body to world) and rotation matrices, for single poses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from crazyarena.types import Vector
+
+
+def multiply(a: Vector, b: Vector) -> Vector:
+    """Hamilton product: first b, then a."""
+    ax, ay, az, aw = a.tolist()
+    bx, by, bz, bw = b.tolist()
+    return np.array(
+        [
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ]
+    )
+
+
+def conjugate(quaternion: Vector) -> Vector:
+    """Inverse of a unit quaternion."""
+    x, y, z, w = quaternion.tolist()
+    return np.array([-x, -y, -z, w])
+
+
+def matrix_of(quaternion: Vector) -> Vector:
+    """Rotation matrix (3, 3) of a unit quaternion."""
+    x, y, z, w = quaternion.tolist()
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def rotate(quaternion: Vector, points: Vector) -> Vector:
+    """Rotate ``points`` (n, 3) or (3,) by a unit quaternion."""
+    return points @ matrix_of(quaternion).T
+
+
+def quaternion_of(matrix: Vector) -> Vector:
+    """Unit quaternion, w >= 0, of a rotation matrix (3, 3) (Shepperd 1978)."""
+    m = matrix
+    trace = float(m[0, 0] + m[1, 1] + m[2, 2])
+    k = int(np.argmax([float(m[0, 0]), float(m[1, 1]), float(m[2, 2]), trace]))
+    q = np.empty(4)
+    if k == 3:
+        q[:] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1.0 + trace
+    else:
+        i, j = (k + 1) % 3, (k + 2) % 3
+        q[k] = 1.0 + m[k, k] - m[i, i] - m[j, j]
+        q[i] = m[i, k] + m[k, i]
+        q[j] = m[j, k] + m[k, j]
+        q[3] = m[j, i] - m[i, j]
+    q /= np.linalg.norm(q)
+    return -q if q[3] < 0 else q
+
+
+def angle_between(a: Vector, b: Vector) -> float:
+    """Angle of the turn from unit quaternion a to b, rad, 0 to pi."""
+    x, y, z, w = multiply(conjugate(a), b).tolist()
+    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
+
+
+def euler_xyz(quaternion: Vector) -> tuple[float, float, float]:
+    """Angles a, b, c in rad with R = Rx(a) Ry(b) Rz(c)."""
+    m = matrix_of(quaternion)
+    return (
+        math.atan2(-m[1, 2], m[2, 2]),
+        math.asin(min(1.0, max(-1.0, float(m[0, 2])))),
+        math.atan2(-m[0, 1], m[0, 0]),
+    )
