@@ -18,6 +18,15 @@ import yaml
 
 from crazyarena.errors import InputError
 
+# What Crazyswarm 1 keeps in its launch file rather than in the vehicle list.
+LAUNCH_PARAMS: Mapping[str, float] = {
+    "commander.enHighLevel": 1.0,
+    "stabilizer.estimator": 2.0,
+    "stabilizer.controller": 2.0,
+    "locSrv.extPosStdDev": 1e-3,
+    "locSrv.extQuatStdDev": 0.5e-1,
+}
+
 # Limits that Crazyswarm ships for plausible motion between two frames.
 _DYNAMICS_1 = {
     "max_velocity": ("maxXVelocity", "maxYVelocity", "maxZVelocity"),
@@ -239,7 +248,8 @@ def load_crazyflies_1(
     Parameters
     ----------
     types: contents of ``crazyflieTypes.yaml``; its firmware parameters are overridden by those
-        of the vehicle. Simulation needs none.
+        of the vehicle, and override those of the launch file (:data:`LAUNCH_PARAMS`).
+        Simulation needs none.
 
     Raises
     ------
@@ -279,6 +289,7 @@ def load_crazyflies_1(
                 channel=channel_number,
                 type=kind_name,
                 firmware_params={
+                    **LAUNCH_PARAMS,
                     **(entry.firmware_params if entry else {}),
                     **_params(node.get("firmwareParams")),
                 },

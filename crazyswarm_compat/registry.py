@@ -73,8 +73,8 @@ class BackendFactory(Protocol):
 
 ENTRIES: dict[str, str] = {
     "ideal": "crazyarena.sim_backend.ideal_backend:open_ideal",
-    "sim": "crazyarena.sim_backend.arena:open_arena",
-    "pybullet": "crazyarena.sim_backend.physics.pybullet_engine:open_pybullet",
+    "sim": "crazyarena.sim_backend.swarm_backend:open_arena",
+    "pybullet": "crazyarena.sim_backend.swarm_backend:open_pybullet",
     "radio": "crazyarena.crazyswarm_compat.radio:open_radio",
 }
 # The firmware's planner by the names of its Python bindings, for scripts that plan by themselves.

@@ -122,11 +122,13 @@ class IdealBackend:
         )
         self._trajectories: list[dict[int, np.ndarray]] = [{} for _ in range(n)]
         self._stored: list[dict[int, range]] = [{} for _ in range(n)]
-        self._params = [{**_DEFAULTS, **config.firmware_params} for config in fleet.vehicles]
+        self._params = [dict(_DEFAULTS) for _ in fleet.vehicles]
         self._locked = [False] * n
         for index, config in enumerate(fleet.vehicles):
             self._state[index, :3] = config.initial_position
             self._setpoint[index, :3] = config.initial_position
+            for name, value in config.firmware_params.items():
+                self._set_param(index, c.SetParam(name, value))
             self._load_avoidance(index)
         self._now = clock.now()
         self._unregister: Callable[[], None] | None = clock.on_advance(self._advance)

@@ -1,0 +1,175 @@
+"""Crazyswarm fleets with firmware and dynamics: the ``arena`` vehicles behind a radio's interface.
+
+The link is perfect and the room has a motion-capture system: every vehicle hears poses at a
+fixed rate, its own and, for collision avoidance, those of the others. A script begins when the
+estimators have settled, as it would in the lab.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from crazyarena.clock import Clock, VirtualClock
+from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.crazyswarm_compat.config import FleetConfig
+from crazyarena.crazyswarm_compat.options import warn
+from crazyarena.crazyswarm_compat.registry import SimOptions
+from crazyarena.errors import BackendError, CommandError
+from crazyarena.sim_backend.arena import ArenaFleet
+from crazyarena.sim_backend.arena_kernel import DT
+from crazyarena.sim_backend.physics.arena_plant import (
+    AB_ROTOR,
+    AP_DRAG,
+    note_acceleration,
+)
+from crazyarena.sim_backend.physics.competition_step import (
+    B_OMEGA,
+    B_POS,
+    B_QUAT,
+    B_VEL,
+    PLANT_SIZE,
+)
+from crazyarena.sim_backend.physics.rigid_body import P_DRAG, arena_plant
+from crazyarena.types import Pose, Telemetry
+
+_POSE_TICKS = 10  # ms between motion-capture frames
+_SETTLE_TICKS = 2000  # ms before a script begins
+
+
+class ArenaBackend:
+    """A fleet of ``arena`` vehicles on a virtual clock."""
+
+    def __init__(
+        self,
+        fleet: FleetConfig,
+        clock: VirtualClock,
+        make_fleet: Callable[..., ArenaFleet] = ArenaFleet,
+    ) -> None:
+        self._names = {config.id: config.name for config in fleet.vehicles}
+        self._index = {config.id: index for index, config in enumerate(fleet.vehicles)}
+        self._fleet = make_fleet(
+            np.array([config.initial_position for config in fleet.vehicles]),
+            ids=[config.id for config in fleet.vehicles],
+        )
+        for index, config in enumerate(fleet.vehicles):
+            for name, value in config.firmware_params.items():
+                try:
+                    self._fleet.set_param(index, name, value)
+                except BackendError as error:
+                    warn(f"{config.name}: firmware_params: {error}")
+        self._run(_SETTLE_TICKS)
+        self._start = clock.now() - self._fleet.time
+        self._unregister: Callable[[], None] | None = clock.on_advance(self._advance)
+
+    @property
+    def vehicles(self) -> Sequence[int]:
+        return tuple(self._index)
+
+    def send(self, command: c.Command, vehicle: int | None = None) -> None:
+        for index in range(len(self._fleet)) if vehicle is None else (self._at(vehicle),):
+            self._fleet.send(command, index)
+
+    def send_external_poses(self, poses: Mapping[int, Pose]) -> None:
+        """Deliver further poses, besides those of the room's motion-capture system."""
+        self._fleet.external_poses({self._at(vehicle): pose for vehicle, pose in poses.items()})
+
+    def telemetry(self, vehicle: int) -> Telemetry:
+        """Health, and the true state: what Crazyswarm shows in simulation."""
+        index = self._at(vehicle)
+        state = self._fleet.true_state(index)
+        now = state.timestamp + self._start
+        return replace(
+            self._fleet.telemetry(index),
+            timestamp=now,
+            link_quality=1.0,
+            state=replace(state, timestamp=now),
+        )
+
+    def get_param(self, vehicle: int, name: str) -> float:
+        return self._fleet.get_param(self._at(vehicle), name)
+
+    def param_names(self, vehicle: int) -> Sequence[str]:
+        """Names of all parameters that :meth:`get_param` knows."""
+        return self._fleet.param_names()
+
+    def close(self) -> None:
+        if self._unregister is not None:
+            self._unregister()
+            self._unregister = None
+            self._fleet.close()
+
+    def _at(self, vehicle: int) -> int:
+        try:
+            return self._index[vehicle]
+        except (KeyError, TypeError):
+            known = ", ".join(map(str, self._index))
+            raise CommandError(f"no vehicle with id {vehicle!r}; the fleet has {known}") from None
+
+    def _advance(self, now: float) -> None:
+        self._run(round((now - self._start) / DT) - self._fleet.tick)
+
+    def _run(self, ticks: int) -> None:
+        fleet = self._fleet
+        end = fleet.tick + ticks
+        while fleet.tick < end:
+            if fleet.tick % _POSE_TICKS == 0:
+                fleet.external_poses({index: fleet.true_pose(index) for index in range(len(fleet))})
+            until_frame = _POSE_TICKS - fleet.tick % _POSE_TICKS
+            fleet.advance(min(until_frame, end - fleet.tick))
+
+
+class PyBulletFleet(ArenaFleet):
+    """``arena`` vehicles whose bodies PyBullet moves; rotors and battery stay compiled."""
+
+    def __init__(self, positions: np.ndarray, *, ids: Sequence[int]) -> None:
+        from crazyarena.sim_backend.physics.pybullet_engine import PyBulletEngine
+
+        super().__init__(positions, ids=ids)
+        self._engine = PyBulletEngine(_engine_plants(self.plants), dt=DT)
+        self._engine.reset(self.bodies[:, B_POS : B_POS + 3])
+
+    def advance(self, ticks: int, traces: np.ndarray | None = None) -> None:
+        """Let ``ticks`` milliseconds pass, one by one; no traces."""
+        for _ in range(ticks):
+            before = self.bodies[:, B_VEL : B_VEL + 3].copy()
+            super().advance(1)
+            # Rotors 1..4 are front right, back right, back left, front left; the engine counts
+            # from the front left.
+            self._engine.step(np.square(self.bodies[:, AB_ROTOR : AB_ROTOR + 4])[:, ::-1])
+            for body, moved, (vx, vy, vz) in zip(
+                self.bodies, self._engine.bodies, before, strict=True
+            ):
+                for at, count in ((B_POS, 3), (B_VEL, 3), (B_QUAT, 4), (B_OMEGA, 3)):
+                    body[at : at + count] = moved[at : at + count]
+                note_acceleration(body, vx, vy, vz, DT)
+
+    def close(self) -> None:
+        super().close()
+        self._engine.close()
+
+
+def _engine_plants(plants: np.ndarray) -> np.ndarray:
+    """Rows for a physics engine with the mass, inertia and drag of ``arena`` plant rows."""
+    rows = np.tile(arena_plant(), (len(plants), 1))
+    rows[:, :PLANT_SIZE] = plants[:, :PLANT_SIZE]
+    rows[:, P_DRAG : P_DRAG + 3] = plants[:, AP_DRAG : AP_DRAG + 3]
+    return rows
+
+
+def open_arena(fleet: FleetConfig, clock: Clock, options: SimOptions) -> ArenaBackend:
+    """Factory of backend ``sim``, named in the registry of backends."""
+    return ArenaBackend(fleet, _virtual(clock, "sim"))
+
+
+def open_pybullet(fleet: FleetConfig, clock: Clock, options: SimOptions) -> ArenaBackend:
+    """Factory of backend ``pybullet``, named in the registry of backends."""
+    return ArenaBackend(fleet, _virtual(clock, "pybullet"), PyBulletFleet)
+
+
+def _virtual(clock: Clock, name: str) -> VirtualClock:
+    if not isinstance(clock, VirtualClock):
+        raise BackendError(f"backend {name!r}: a simulation needs a virtual clock")
+    return clock
