@@ -57,7 +57,11 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         previous = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(cache_folder())
         try:
-            return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(py_function)
+            # Nobody takes a kernel's address: doing without that entry point saves a fifth of
+            # the compile time.
+            return numba.njit(
+                cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options
+            )(py_function)
         finally:
             numba.config.CACHE_DIR = previous
 

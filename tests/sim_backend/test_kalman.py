@@ -19,6 +19,13 @@ def fresh():
     return m, p, state
 
 
+def tick(m, p, state, now, flying, kind, pose):
+    k.kalman_advance(m, p, state, float(now), flying)
+    if kind != k.MEAS_NONE:
+        k.kalman_measure(m, kind, pose, p[k.KP_EXT_POS_STD], p[k.KP_EXT_QUAT_STD])
+    k.kalman_complete(m, p, state, float(now))
+
+
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_covariance_stays_symmetric_bounded_and_positive(seed):
@@ -30,7 +37,7 @@ def test_covariance_stays_symmetric_bounded_and_positive(seed):
         pose = np.concatenate((rng.normal(0, 1, 3), rng.normal(0, 1, 4)))
         pose[3:] /= np.linalg.norm(pose[3:])
         kind = int(rng.integers(0, 12))
-        k.kalman_tick(m, p, state, float(now), True, kind if kind < 3 else 0, pose)
+        tick(m, p, state, now, True, kind if kind < 3 else 0, pose)
     covariance = m[k.KM_P : k.KM_P + 81].reshape(9, 9)
     assert np.isfinite(m).all()
     np.testing.assert_array_equal(covariance, covariance.T)
@@ -43,10 +50,10 @@ def test_a_wrong_pose_is_believed():
     m, p, state = fresh()
     pose = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
     for now in range(2000):
-        k.kalman_tick(m, p, state, float(now), False, k.MEAS_POSE * (now % 10 == 0), pose)
+        tick(m, p, state, now, False, k.MEAS_POSE * (now % 10 == 0), pose)
     pose[0] = 5.0
     for now in range(2000, 2200):
-        k.kalman_tick(m, p, state, float(now), False, k.MEAS_POSE * (now % 10 == 0), pose)
+        tick(m, p, state, now, False, k.MEAS_POSE * (now % 10 == 0), pose)
     assert state[0] > 0.3
 
 
@@ -59,7 +66,7 @@ def test_leaving_the_limits_resets_to_the_initial_position():
         resets = 0
         for now in range(400):
             pose[0] = pose_x * now / 100.0
-            k.kalman_tick(m, p, state, float(now), True, k.MEAS_POSE * (now % 10 == 0), pose)
+            tick(m, p, state, now, True, k.MEAS_POSE * (now % 10 == 0), pose)
             resets += m[k.KM_S] == 0.0 and m[k.KM_S + 1] == 0.25
         assert resets
 
@@ -68,9 +75,9 @@ def test_reset_parameter_works_once():
     m, p, state = fresh()
     pose = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     for now in range(100):
-        k.kalman_tick(m, p, state, float(now), False, k.MEAS_POSITION, pose)
+        tick(m, p, state, now, False, k.MEAS_POSITION, pose)
     assert state[0] > 0.9
     p[k.KP_RESET] = 1.0
-    k.kalman_tick(m, p, state, 100.0, False, k.MEAS_NONE, pose)
+    tick(m, p, state, 100, False, k.MEAS_NONE, pose)
     assert state[0] == 0.0
     assert p[k.KP_RESET] == 0.0

@@ -33,7 +33,11 @@ def _run(m, p, now, flying, gyro, acc, kinds, pos, quat, estimates, states, cova
             measurement[i] = pos[n, i]
         for i in range(4):
             measurement[3 + i] = quat[n, i]
-        k.kalman_tick(m, p, state, now + n, flying, kinds[n], measurement)
+        k.kalman_advance(m, p, state, now + n, flying)
+        if kinds[n] != k.MEAS_NONE:
+            std_pos, std_quat = p[k.KP_EXT_POS_STD], p[k.KP_EXT_QUAT_STD]
+            k.kalman_measure(m, kinds[n], measurement, std_pos, std_quat)
+        k.kalman_complete(m, p, state, now + n)
         for i in range(13):
             estimates[n, i] = m[i]
         for i in range(STATE_SIZE):

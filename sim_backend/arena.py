@@ -1,0 +1,624 @@
+"""A fleet of simulated Crazyflies with today's firmware (profile ``arena``).
+
+:class:`ArenaFleet` is the vehicles themselves: they know nothing of radios or cameras. Whoever
+owns it advances it, feeds it external poses and hands it commands at the moment they arrive.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.crazyswarm_compat.checks import check
+from crazyarena.errors import BackendError, CommandError
+from crazyarena.sim_backend.arena_kernel import (
+    DT,
+    NOISE_COLUMNS,
+    QUEUE_COLUMNS,
+    QUEUE_LENGTH,
+    advance_fleet,
+    enqueue,
+)
+from crazyarena.sim_backend.crtp.setpoints import compress_quaternion, decode_setpoint
+from crazyarena.sim_backend.firmware import collision_avoidance, high_level, stack_2026
+from crazyarena.sim_backend.firmware import commander as setpoints
+from crazyarena.sim_backend.firmware import layout as la
+from crazyarena.sim_backend.firmware import supervisor as sv
+from crazyarena.sim_backend.firmware.kalman import MEAS_POSE, MEAS_POSITION
+from crazyarena.sim_backend.firmware.parameters import Param, default_row
+from crazyarena.sim_backend.firmware.planner import PIECE_BYTES, TRAJECTORY_MEMORY_SIZE
+from crazyarena.sim_backend.physics import competition_step as cs
+from crazyarena.sim_backend.physics import geometry
+from crazyarena.sim_backend.physics.arena_plant import (
+    AB_ACCELERATION,
+    AB_VOLTS,
+    ARENA_BODY_SIZE,
+    GRAVITY,
+    default_plant,
+    open_circuit_volts,
+)
+from crazyarena.sim_backend.physics.scene import (
+    MARGIN,
+    ROW_SIZE,
+    VEHICLE_HALF_LENGTH,
+    ground_code,
+)
+from crazyarena.sim_backend.trace import TRACE_SIZE
+from crazyarena.types import Pose, Telemetry, VehicleState
+
+Array = NDArray[np.float64]
+
+# Parameters of decks that scripts like to set; they have no effect on the flight.
+_DECK_PARAMS = (
+    Param("ring.effect", 6, 6, "uint8"),
+    Param("ring.headlightEnable", 0, 0, "uint8"),
+    Param("ring.solidRed", 20, 20, "uint8"),
+    Param("ring.solidGreen", 20, 20, "uint8"),
+    Param("ring.solidBlue", 20, 20, "uint8"),
+    Param("led.bitmask", 0, 0, "uint8"),
+)
+PARAMS = (*stack_2026.PARAMS, *_DECK_PARAMS)
+_PARAM_INDEX = {param.name: i for i, param in enumerate(PARAMS)}
+_INTEGER = {
+    "uint8": (0, 2**8 - 1),
+    "int8": (-(2**7), 2**7 - 1),
+    "uint16": (0, 2**16 - 1),
+    "int16": (-(2**15), 2**15 - 1),
+    "uint32": (0, 2**32 - 1),
+    "int32": (-(2**31), 2**31 - 1),
+}
+
+_REST_HEIGHT = VEHICLE_HALF_LENGTH + MARGIN  # m, of the centre above the ground
+_DEG = 180.0 / math.pi
+_INT16 = 32767
+_POLY4D = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNoise:
+    """Standard deviations per 1 ms sample: gyro deg/s, accelerometer g (both per axis); force N
+    is a random force on the vehicle."""
+
+    gyro: float = 0.0
+    accelerometer: float = 0.0
+    force: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleRows:
+    """Live views of one vehicle's memory, for the kernels of ``firmware/``."""
+
+    body: Array
+    plant: Array
+    memory: Array
+    params: Array
+    trajectories: NDArray[np.uint8]
+
+    @property
+    def state(self) -> Array:
+        return self.memory[stack_2026.F_STATE : stack_2026.F_SETPOINT]
+
+    @property
+    def setpoint(self) -> Array:
+        return self.memory[stack_2026.F_SETPOINT : stack_2026.F_CONTROL]
+
+    @property
+    def control(self) -> Array:
+        return self.memory[stack_2026.F_CONTROL : stack_2026.F_MOTORS]
+
+    @property
+    def motors(self) -> Array:
+        return self.memory[stack_2026.F_MOTORS : stack_2026.F_SUPPLY]
+
+    @property
+    def supervisor(self) -> Array:
+        return self.memory[stack_2026.F_SUPERVISOR : stack_2026.F_COMMANDER]
+
+    @property
+    def commander(self) -> Array:
+        return self.memory[stack_2026.F_COMMANDER : stack_2026.F_MELLINGER]
+
+    @property
+    def mellinger(self) -> Array:
+        return self.memory[stack_2026.F_MELLINGER : stack_2026.F_PID]
+
+    @property
+    def pid(self) -> Array:
+        return self.memory[stack_2026.F_PID : stack_2026.F_AVOIDANCE]
+
+    @property
+    def kalman(self) -> Array:
+        return self.memory[stack_2026.F_KALMAN : stack_2026.F_HIGH_LEVEL]
+
+    @property
+    def high_level(self) -> Array:
+        return self.memory[stack_2026.F_HIGH_LEVEL :]
+
+    @property
+    def high_level_params(self) -> Array:
+        return self.params[stack_2026.P_HIGH_LEVEL : stack_2026.P_AVOIDANCE]
+
+
+class ArenaFleet:
+    """Vehicles standing on the ground, booted at time 0.
+
+    Parameters
+    ----------
+    positions: (n, 3) m, world; z is the height of the centre, at least that of a vehicle at rest.
+    yaws: (n,) rad.
+    ids: 1..255, for collision avoidance; 1, 2, ... by default.
+    plant: one plant row for all or (n, ARENA_PLANT_SIZE), see :mod:`.physics.arena_plant`.
+    scene: gates and obstacles of :func:`.physics.scene.build_scene`.
+    noise, rng: sensor noise and its generator; drawn per call of :meth:`advance`, one block of
+        (n, ticks, 9) standard normals, and not at all without noise.
+    auto_arm: False for a firmware that waits for an arming request.
+    threads: vehicles are spread over so many threads.
+    """
+
+    def __init__(
+        self,
+        positions: ArrayLike,
+        yaws: ArrayLike | None = None,
+        *,
+        ids: Sequence[int] | None = None,
+        plant: Array | None = None,
+        scene: Array | None = None,
+        noise: SensorNoise | None = None,
+        rng: np.random.Generator | None = None,
+        auto_arm: bool = True,
+        threads: int = 1,
+    ) -> None:
+        places = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
+        n = len(places)
+        headings = np.zeros(n) if yaws is None else np.asarray(yaws, dtype=np.float64)
+        self.ids = tuple(range(1, n + 1) if ids is None else ids)
+        self.tick = 0
+        self._noise = noise or SensorNoise()
+        self._rng = rng
+        if self._noise != SensorNoise() and rng is None:
+            raise ValueError("sensor noise needs a generator: pass rng")
+        self._auto_arm = auto_arm
+        self.bodies = np.zeros((n, ARENA_BODY_SIZE))
+        self.plants = np.array(
+            np.broadcast_to(default_plant() if plant is None else plant, (n, len(default_plant())))
+        )
+        self.memory = np.zeros((n, stack_2026.FIRMWARE_SIZE))
+        self.params = np.zeros((n, len(PARAMS)))
+        self.trajectories = np.zeros((n, TRAJECTORY_MEMORY_SIZE), dtype=np.uint8)
+        self._peer_tables = np.zeros(
+            (n, collision_avoidance.MAX_PEERS, collision_avoidance.PEER_SIZE)
+        )
+        self._peers = np.zeros((n, collision_avoidance.MAX_PEERS, 3))
+        self._faces = np.array([collision_avoidance.new_scratch() for _ in range(n)])
+        self._queues = np.zeros((n, QUEUE_LENGTH + 1, QUEUE_COLUMNS))
+        self._work = np.array([geometry.make_workspace() for _ in range(n)])
+        self._no_noise = np.zeros((n, 0, NOISE_COLUMNS))
+        self._no_trace = np.zeros((n, 0, TRACE_SIZE))
+        self._heard: list[frozenset[int] | None] = [None] * n
+        self.set_scene(np.zeros((0, ROW_SIZE)) if scene is None else scene)
+        for i in range(n):
+            self.place(i, places[i], float(headings[i]))
+            self.reboot(i)
+        self._threads = max(1, min(threads, n))
+        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
+
+    def __len__(self) -> int:
+        return len(self.bodies)
+
+    @property
+    def time(self) -> float:
+        """Seconds since the fleet was made."""
+        return self.tick * DT
+
+    def close(self) -> None:
+        """Stop the threads; idempotent."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    # The world
+
+    def set_scene(self, scene: Array) -> None:
+        """Change gates and obstacles."""
+        self._scene = np.ascontiguousarray(scene, dtype=np.float64)
+        self._ground = ground_code(self._scene)
+        for work in self._work:
+            geometry.forget(work)
+
+    def place(self, vehicle: int, position: ArrayLike, yaw: float = 0.0) -> None:
+        """Put a vehicle somewhere, level, at rest and with a full battery."""
+        x, y, z = (float(value) for value in np.asarray(position, dtype=np.float64))
+        body = self.bodies[vehicle]
+        body[:] = 0.0
+        cs.set_pose(body, x, y, max(z, _REST_HEIGHT), 0.0, 0.0, yaw)
+        body[AB_ACCELERATION + 2] = GRAVITY
+        body[AB_VOLTS] = open_circuit_volts(0.0)
+        geometry.forget(self._work[vehicle])
+
+    def reboot(self, vehicle: int) -> None:
+        """Restart a vehicle's firmware: parameters at their defaults, time 0."""
+        self.memory[vehicle] = stack_2026.firmware_memory(self._auto_arm)
+        self.params[vehicle] = default_row(PARAMS, 2026)
+        self.trajectories[vehicle] = 0
+        self._peer_tables[vehicle] = 0.0
+        self._queues[vehicle] = 0.0
+        self._heard[vehicle] = None
+
+    def advance(self, ticks: int, traces: Array | None = None) -> None:
+        """Let ``ticks`` milliseconds pass.
+
+        ``traces`` (n, >= ticks, TRACE_SIZE) is filled with one row per vehicle and tick.
+        """
+        n = len(self)
+        noise = self._no_noise
+        if self._rng is not None and self._noise != SensorNoise():
+            scale = np.repeat((self._noise.gyro, self._noise.accelerometer, self._noise.force), 3)
+            noise = self._rng.standard_normal((n, ticks, NOISE_COLUMNS)) * scale
+        arguments = (
+            self.bodies,
+            self.plants,
+            self.memory,
+            self.params,
+            self.trajectories,
+            self._peer_tables,
+            self._peers,
+            self._faces,
+            self._queues,
+            self._scene,
+            self._ground,
+            self._work,
+            noise,
+            self.time,
+            ticks,
+            self._no_trace if traces is None else traces,
+        )
+        if self._pool is None:
+            advance_fleet(0, n, *arguments)
+        else:
+            edges = [n * k // self._threads for k in range(self._threads + 1)]
+            jobs = [
+                self._pool.submit(advance_fleet, first, last, *arguments)
+                for first, last in pairwise(edges)
+            ]
+            for job in jobs:
+                job.result()
+        self.tick += ticks
+
+    # What a vehicle receives
+
+    def rows(self, vehicle: int) -> VehicleRows:
+        """Views of one vehicle's memory; they stay valid."""
+        return VehicleRows(
+            self.bodies[vehicle],
+            self.plants[vehicle],
+            self.memory[vehicle],
+            self.params[vehicle],
+            self.trajectories[vehicle],
+        )
+
+    def external_pose(self, vehicle: int, pose: Pose, latency: float = 0.0) -> bool:
+        """Send a measured pose that arrives ``latency`` s from now; False if it was lost because
+        too many are on their way."""
+        return self._enqueue(vehicle, MEAS_POSE, (*pose.position, *pose.quaternion), latency)
+
+    def external_position(self, vehicle: int, position: ArrayLike, latency: float = 0.0) -> bool:
+        """Send a measured position (3,) m, as :meth:`external_pose`."""
+        x, y, z = np.asarray(position, dtype=np.float64)
+        return self._enqueue(vehicle, MEAS_POSITION, (x, y, z, 0.0, 0.0, 0.0, 1.0), latency)
+
+    def _enqueue(self, vehicle: int, kind: int, pose: Sequence[float], latency: float) -> bool:
+        row = np.array(pose, dtype=np.float64)
+        arrival = self.memory[vehicle, stack_2026.F_TICK] + round(latency / DT)
+        return bool(enqueue(self._queues[vehicle], arrival, kind, row))
+
+    def external_poses(self, poses: Mapping[int, Pose], latency: float = 0.0) -> None:
+        """Broadcast poses by vehicle index: each vehicle takes its own for its estimator, those
+        that avoid collisions also note the positions of the others."""
+        for vehicle, pose in poses.items():
+            self.external_pose(vehicle, pose, latency)
+        for vehicle in np.flatnonzero(self.params[:, _PARAM_INDEX["colAv.enable"]]):
+            for peer, pose in poses.items():
+                if peer != vehicle:
+                    self.peer_position(int(vehicle), self.ids[peer], pose.position)
+
+    def peer_position(self, vehicle: int, peer_id: int, position: ArrayLike) -> None:
+        """Let a vehicle hear of a peer's position (3,) m."""
+        heard = self._heard[vehicle]
+        if heard is not None and peer_id not in heard:
+            return
+        x, y, z = (float(value) for value in np.asarray(position, dtype=np.float64))
+        collision_avoidance.note_peer(
+            self._peer_tables[vehicle], peer_id, x, y, z, self.memory[vehicle, stack_2026.F_TICK]
+        )
+
+    def setpoint(self, vehicle: int, row: Array, priority: int = setpoints.PRIORITY_CRTP) -> None:
+        """Hand over a low-level setpoint row (see :mod:`.firmware.layout`)."""
+        stack_2026.offer_setpoint(self.memory[vehicle], row, priority)
+
+    def send(self, command: c.Command, vehicle: int) -> int:
+        """Deliver a command to one vehicle now.
+
+        Returns
+        -------
+        What a vehicle answers: 0, or an error number (high-level commands: 1 ignored, 8 not
+        executable, 16 not allowed to fly; arming: 1 refused).
+
+        Raises
+        ------
+        CommandError
+            if no vehicle could execute it.
+        """
+        check(command, f"vehicle {self.ids[vehicle]}")
+        mask = getattr(command, "group_mask", 0)
+        addressed = isinstance(command, c.SetGroupMask) or high_level.in_group(
+            self.rows(vehicle).high_level_params, int(mask)
+        )
+        return _HANDLERS[type(command)](self, vehicle, command) if addressed else 0
+
+    def emergency_watchdog(self, vehicle: int) -> None:
+        """Feed the emergency-stop watchdog, which is active from its first feeding on."""
+        sv.supervisor_feed_watchdog(
+            self.rows(vehicle).supervisor, self.memory[vehicle, stack_2026.F_TICK]
+        )
+
+    def recover(self, vehicle: int) -> bool:
+        """Ask for recovery from a crash; True when not crashed afterwards."""
+        return bool(sv.supervisor_request_recovery(self.rows(vehicle).supervisor))
+
+    def get_param(self, vehicle: int, name: str) -> float:
+        """Value of ``group.name``; raises BackendError if the vehicle has no such parameter."""
+        value = float(self.params[vehicle, self._param(vehicle, name)])
+        return value if PARAMS[_PARAM_INDEX[name]].ctype == "float" else int(value)
+
+    def set_param(self, vehicle: int, name: str, value: float) -> None:
+        """Set ``group.name``, at once in effect; raises BackendError if there is none, and
+        CommandError for a value beyond its type."""
+        index = self._param(vehicle, name)
+        ctype = PARAMS[index].ctype
+        if ctype != "float":
+            low, high = _INTEGER[ctype]
+            if not low <= value <= high:
+                raise CommandError(
+                    f"vehicle {self.ids[vehicle]}: {name} is {value!r}; its type {ctype} holds "
+                    f"{low}..{high}"
+                )
+            value = int(value)
+        self.params[vehicle, index] = value
+
+    def _param(self, vehicle: int, name: str) -> int:
+        try:
+            return _PARAM_INDEX[name]
+        except KeyError:
+            raise BackendError(
+                f"vehicle {self.ids[vehicle]}: no parameter {name!r}; see param_names()"
+            ) from None
+
+    @staticmethod
+    def param_names() -> tuple[str, ...]:
+        """Every parameter a vehicle has."""
+        return tuple(_PARAM_INDEX)
+
+    # What a vehicle tells
+
+    def telemetry(self, vehicle: int) -> Telemetry:
+        """Battery, supervisor and estimate; the radio's share of it is the link's business."""
+        rows = self.rows(vehicle)
+        state = rows.state
+        return Telemetry(
+            timestamp=self.time,
+            battery=float(rows.body[AB_VOLTS]),
+            supervisor=int(rows.supervisor[sv.SV_INFO]),
+            state=VehicleState(
+                timestamp=self.time,
+                position=state[la.ST_POS : la.ST_POS + 3].copy(),
+                velocity=state[la.ST_VEL : la.ST_VEL + 3].copy(),
+                quaternion=state[la.ST_QUAT : la.ST_QUAT + 4].copy(),
+                angular_velocity=state[la.ST_GYRO : la.ST_GYRO + 3] / _DEG,
+            ),
+        )
+
+    def true_state(self, vehicle: int) -> VehicleState:
+        """Where the vehicle really is."""
+        body = self.bodies[vehicle]
+        return VehicleState(
+            timestamp=self.time,
+            position=body[cs.B_POS : cs.B_POS + 3].copy(),
+            velocity=body[cs.B_VEL : cs.B_VEL + 3].copy(),
+            quaternion=body[cs.B_QUAT : cs.B_QUAT + 4].copy(),
+            angular_velocity=body[cs.B_OMEGA : cs.B_OMEGA + 3].copy(),
+        )
+
+    def true_pose(self, vehicle: int) -> Pose:
+        """Position and attitude of :meth:`true_state`."""
+        body = self.bodies[vehicle]
+        return Pose(body[cs.B_POS : cs.B_POS + 3].copy(), body[cs.B_QUAT : cs.B_QUAT + 4].copy())
+
+    def supervisor_info(self, vehicle: int) -> int:
+        """Bit field of ``supervisor.info``."""
+        return int(self.rows(vehicle).supervisor[sv.SV_INFO])
+
+    # Commands
+
+    def _takeoff(self, vehicle: int, m: c.Takeoff) -> int:
+        return self._vertical(high_level.takeoff, vehicle, m)
+
+    def _land(self, vehicle: int, m: c.Land) -> int:
+        return self._vertical(high_level.land, vehicle, m)
+
+    def _vertical(self, kernel: Callable[..., int], vehicle: int, m: c.Takeoff | c.Land) -> int:
+        yaw = 0.0 if m.yaw is None else float(m.yaw)
+        planner = self.rows(vehicle).high_level
+        now = self._seconds(vehicle)
+        return int(kernel(planner, float(m.height), float(m.duration), yaw, m.yaw is None, now))
+
+    def _seconds(self, vehicle: int) -> float:
+        return float(self.memory[vehicle, stack_2026.F_TICK]) * DT
+
+    def _go_to(self, vehicle: int, m: c.GoTo) -> int:
+        x, y, z = (float(value) for value in np.asarray(m.position, dtype=np.float64))
+        return int(
+            high_level.go_to(
+                self.rows(vehicle).high_level,
+                self.trajectories[vehicle],
+                x,
+                y,
+                z,
+                float(m.yaw),
+                float(m.duration),
+                bool(m.relative),
+                False,
+                self._seconds(vehicle),
+            )
+        )
+
+    def _stop(self, vehicle: int, m: c.Stop) -> int:
+        return int(high_level.stop(self.rows(vehicle).high_level))
+
+    def _notify(self, vehicle: int, m: c.NotifySetpointsStop) -> int:
+        stack_2026.notify_setpoints_stop(self.memory[vehicle])
+        return 0
+
+    def _packet(self, vehicle: int, payload: bytes) -> int:
+        # Through the packet and back, so that the vehicle sees the resolution of the protocol.
+        row = decode_setpoint(payload)
+        assert row is not None
+        self.setpoint(vehicle, row)
+        return 0
+
+    def _full_state(self, vehicle: int, m: c.FullState) -> int:
+        yaw = 0.5 * float(m.yaw)
+        linear = np.concatenate([np.asarray(v, float) for v in (m.position, m.velocity)])
+        milli = [_milli(value) for value in (*linear, *np.asarray(m.acceleration, float))]
+        quaternion = compress_quaternion((0.0, 0.0, math.sin(yaw), math.cos(yaw)))
+        rates = [_milli(value) for value in np.asarray(m.omega, float)]
+        return self._packet(vehicle, struct.pack("<BhhhhhhhhhIhhh", 6, *milli, quaternion, *rates))
+
+    def _position(self, vehicle: int, m: c.Position) -> int:
+        position = np.asarray(m.position, dtype=np.float64)
+        return self._packet(vehicle, struct.pack("<Bffff", 7, *position, m.yaw * _DEG))
+
+    def _velocity(self, vehicle: int, m: c.VelocityWorld) -> int:
+        velocity = np.asarray(m.velocity, dtype=np.float64)
+        return self._packet(vehicle, struct.pack("<Bffff", 8, *velocity, m.yaw_rate * _DEG))
+
+    def _hover(self, vehicle: int, m: c.Hover) -> int:
+        payload = struct.pack("<Bffff", 10, m.vx, m.vy, m.yaw_rate * _DEG, m.height)
+        return self._packet(vehicle, payload)
+
+    def _attitude(self, vehicle: int, m: c.Attitude) -> int:
+        # Protocol 12's own packet for this has no thrust lock; the legacy one would need a
+        # packet of zero thrust first.
+        payload = struct.pack(
+            "<BfffHB",
+            11,
+            m.roll * _DEG,
+            -m.pitch * _DEG,
+            m.yaw_rate * _DEG,
+            int(min(max(m.thrust, 0), 65535)),
+            0,
+        )
+        return self._packet(vehicle, payload)
+
+    def _cut_motors(self, vehicle: int, m: c.CutMotors) -> int:
+        return self._packet(vehicle, b"\x00")
+
+    def _emergency(self, vehicle: int, m: c.Emergency) -> int:
+        self.rows(vehicle).supervisor[sv.SV_STOP] = 1.0
+        return 0
+
+    def _arm(self, vehicle: int, m: c.Arm) -> int:
+        accepted = sv.supervisor_request_arming(self.rows(vehicle).supervisor, bool(m.arm))
+        return 0 if accepted else 1
+
+    def _upload(self, vehicle: int, m: c.UploadTrajectory) -> int:
+        pieces = np.asarray(m.pieces, dtype=np.float64)
+        # The vehicle's format: 32 coefficients, then the duration, float32.
+        data = np.frombuffer(np.roll(pieces, -1, axis=1).astype("<f4").tobytes(), np.uint8)
+        start = PIECE_BYTES * int(m.piece_offset)
+        if start + len(data) > TRAJECTORY_MEMORY_SIZE:
+            raise CommandError(
+                f"vehicle {self.ids[vehicle]}: uploadTrajectory: {len(pieces)} pieces from piece "
+                f"{m.piece_offset} on; the memory holds {TRAJECTORY_MEMORY_SIZE // PIECE_BYTES}"
+            )
+        self.trajectories[vehicle, start : start + len(data)] = data
+        planner = self.rows(vehicle).high_level
+        return int(
+            high_level.define_trajectory(planner, int(m.trajectory_id), _POLY4D, start, len(pieces))
+        )
+
+    def _start(self, vehicle: int, m: c.StartTrajectory) -> int:
+        return int(
+            high_level.start_trajectory(
+                self.rows(vehicle).high_level,
+                self.trajectories[vehicle],
+                int(m.trajectory_id),
+                float(m.timescale),
+                bool(m.relative),
+                False,
+                bool(m.reverse),
+                self._seconds(vehicle),
+            )
+        )
+
+    def _set_group_mask(self, vehicle: int, m: c.SetGroupMask) -> int:
+        return int(
+            high_level.set_group_mask(self.rows(vehicle).high_level_params, int(m.group_mask))
+        )
+
+    def _set_param(self, vehicle: int, m: c.SetParam) -> int:
+        self.set_param(vehicle, m.name, m.value)
+        return 0
+
+    def _set_led(self, vehicle: int, m: c.SetLed) -> int:
+        for name, value in (("Red", m.red), ("Green", m.green), ("Blue", m.blue)):
+            self.set_param(vehicle, f"ring.solid{name}", int(255 * min(max(value, 0.0), 1.0)))
+        return 0
+
+    def _collision_avoidance(self, vehicle: int, m: c.CollisionAvoidance) -> int:
+        if m.enable:
+            for axis, name in enumerate("XYZ"):
+                self.set_param(vehicle, f"colAv.ellipsoid{name}", m.radii[axis])
+                self.set_param(vehicle, f"colAv.bboxMin{name}", m.bbox_min[axis])
+                self.set_param(vehicle, f"colAv.bboxMax{name}", m.bbox_max[axis])
+            self.set_param(vehicle, "colAv.horizon", m.horizon)
+            self.set_param(vehicle, "colAv.maxSpeed", m.max_speed)
+            self._heard[vehicle] = None if m.peers is None else frozenset(m.peers)
+            self._peer_tables[vehicle] = 0.0
+        self.set_param(vehicle, "colAv.enable", int(m.enable))
+        return 0
+
+
+def _milli(value: float) -> int:
+    """Thousandths, truncated like the client does and limited to 16 bits."""
+    return int(min(max(1000.0 * value, -_INT16 - 1), _INT16))
+
+
+_HANDLERS: dict[type, Callable[..., int]] = {
+    c.Takeoff: ArenaFleet._takeoff,
+    c.Land: ArenaFleet._land,
+    c.GoTo: ArenaFleet._go_to,
+    c.Stop: ArenaFleet._stop,
+    c.NotifySetpointsStop: ArenaFleet._notify,
+    c.FullState: ArenaFleet._full_state,
+    c.Position: ArenaFleet._position,
+    c.VelocityWorld: ArenaFleet._velocity,
+    c.Hover: ArenaFleet._hover,
+    c.Attitude: ArenaFleet._attitude,
+    c.CutMotors: ArenaFleet._cut_motors,
+    c.Emergency: ArenaFleet._emergency,
+    c.Arm: ArenaFleet._arm,
+    c.UploadTrajectory: ArenaFleet._upload,
+    c.StartTrajectory: ArenaFleet._start,
+    c.SetGroupMask: ArenaFleet._set_group_mask,
+    c.SetParam: ArenaFleet._set_param,
+    c.SetLed: ArenaFleet._set_led,
+    c.CollisionAvoidance: ArenaFleet._collision_avoidance,
+}
