@@ -209,8 +209,9 @@ class Episode:
     def _failed(self, text: str, time: float, method: str = "", step: int = 0) -> str:
         self._error = f"step {step}: {method} raised\n{text}" if method else text
         if self._recorder is not None:
-            tick = round(time * 500)
-            self._recorder.event(time, tick, "controller error", text.splitlines()[-1])
+            self._recorder.event(
+                time, self._referee.ticks, "controller error", text.splitlines()[-1]
+            )
         return CONTROLLER_ERROR
 
     def _result(self, reason: str) -> EpisodeResult:

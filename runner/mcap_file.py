@@ -176,8 +176,8 @@ class McapWriter:
         offsets = b""
         index_start = self._position
         for channel, parts in index.items():
-            entries = np.concatenate(parts).astype("<u8").tobytes()
-            at = self._write(_record(_MESSAGE_INDEX, struct.pack("<H", channel) + _string(entries)))
+            pairs = np.concatenate(parts).astype("<u8").tobytes()
+            at = self._write(_record(_MESSAGE_INDEX, struct.pack("<H", channel) + _string(pairs)))
             offsets += struct.pack("<HQ", channel, at)
         content = struct.pack("<QQQQ", start, end, chunk_start, chunk_length) + _string(offsets)
         content += struct.pack("<Q", self._position - index_start) + _string("")

@@ -279,6 +279,11 @@ class Referee:
             return CONSTRAINT_VIOLATION
         return TUMBLED if verdict.tumbled else MAX_EPISODE_DURATION
 
+    @property
+    def ticks(self) -> int:
+        """Ticks judged so far in the present episode."""
+        return int(self._memory[rules_kernel.ME_TICKS])
+
     def body_id(self, code: float) -> int:
         """Body number, as the competition's simulator counts, of a contact code."""
         number = int(code)

@@ -16,6 +16,7 @@ import numpy as np
 from crazyarena.errors import DependencyMissing
 from crazyarena.levels.contract import GRAVITY, KF, KM
 from crazyarena.levels.schema import Level
+from crazyarena.runner.referee import FORCE_HIGH, FORCE_LOW
 
 ARM = 0.0397  # m
 
@@ -140,24 +141,40 @@ def model(level: Level) -> SimpleNamespace:
     )
 
 
-def constraints(level: Level) -> list[Callable[[Any], Any]]:
-    """Return [input g(u), state g(x)], as far as the level has them; g <= 0 is feasible."""
-    cs = _casadi()
-    from crazyarena.runner.referee import FORCE_HIGH, FORCE_LOW
+class LazyModel:
+    """The model, built when its first attribute is read."""
 
+    def __init__(self, level: Level) -> None:
+        self._level = level
+        self._model: SimpleNamespace | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        if self._model is None:
+            self._model = model(self._level)
+        return getattr(self._model, name)
+
+
+def constraints(level: Level) -> list[Callable[[Any], Any]]:
+    """Return [input g(u), state g(x)], as far as the level has them; g <= 0 is feasible.
+
+    CasADi is needed when they are called.
+    """
     result: list[Callable[[Any], Any]] = []
     if level.constraints.input:
 
         def input_constraint(u: Any) -> Any:
-            return cs.vertcat(FORCE_LOW - u, u - FORCE_HIGH)
+            return _casadi().vertcat(FORCE_LOW - u, u - FORCE_HIGH)
 
         result.append(input_constraint)
     if level.constraints.state:
-        low, high = cs.DM(level.arena.low), cs.DM(level.arena.high)
+        low, high = level.arena.low, level.arena.high
 
         def state_constraint(x: Any) -> Any:
+            cs = _casadi()
             position = cs.vertcat(x[0], x[2], x[4])
-            return cs.vertcat(low - position, position - high)
+            return cs.vertcat(cs.DM(low) - position, position - cs.DM(high))
 
         result.append(state_constraint)
     return result

@@ -104,6 +104,21 @@ def test_failed_flight_exits_1(cli, pilot, tmp_path):
     assert [p.name for p in (tmp_path / "r").iterdir()] == ["result.json"]
 
 
+def test_doing_nothing_is_a_collision_with_the_ground(cli, tmp_path):
+    (tmp_path / "idle.py").write_text(controller())
+    shown = cli("dry-run", "idle.py", "--out", "r", "--no-figure")
+    assert shown.exit_code == 1
+    episodes = json.loads((tmp_path / "r" / "result.json").read_text())["episodes"]
+    assert len(episodes) == 5  # each is judged, the next one flies all the same
+    for episode in episodes:
+        assert episode["termination"] == "COLLISION"
+        assert episode["steps"] == 3
+        # The first tick has no rotor force; its penalty comes a tick later, unseen.
+        assert episode["events"][0]["event"] == "constraint violated"
+        assert episode["violations"] == 0
+        assert episode["reward"] == -1000
+
+
 def test_figure_without_recording(cli, pilot, tmp_path):
     assert cli("dry-run", pilot, *EASY, "--episodes", 1, "--out", "r", "--no-record").exit_code == 0
     assert sorted(p.name for p in (tmp_path / "r").iterdir()) == ["episode_000.png", "result.json"]

@@ -1,13 +1,14 @@
 """The multi-episode loop on a world that follows a prescribed path."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
 
 from crazyarena.clock import VirtualClock
 from crazyarena.crazyswarm_compat import commands as cs
-from crazyarena.errors import InputError
+from crazyarena.errors import DependencyMissing, InputError
 from crazyarena.levels import load_level
 from crazyarena.runner.contestant import Submission
 from crazyarena.runner.scheduler import Scheduler
@@ -241,6 +242,15 @@ def test_symbolic_model_hovers(fly):
     assert pilot.m.dt == 0.002
     np.testing.assert_allclose(np.array(pilot.m.fc_func(np.zeros(12), pilot.u)), 0, atol=1e-9)
     assert float(max(np.array(pilot.c[0](pilot.u)).ravel())) < 0
+
+
+def test_symbolic_model_without_casadi(fly, monkeypatch):
+    _, pilot, _ = fly(controller(init="self.info = initial_info"), episodes=1)
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    with pytest.raises(DependencyMissing, match="casadi"):
+        _ = pilot.info["symbolic_model"].x_dot
+    with pytest.raises(DependencyMissing, match="casadi"):
+        pilot.info["symbolic_constraints"][0](np.zeros(4))
 
 
 def test_drawing_has_a_client(fly):
