@@ -30,17 +30,19 @@ from crazyarena.sim_backend.physics.geometry import (
     W_CONTACTS,
     W_SIMPLEX,
     W_VEHICLE,
+    boxes_overlap,
     clear_of,
-    first_contact_placed,
     place_vehicle,
     point_distance,
     still_clear,
+    touches_ground,
 )
 from crazyarena.sim_backend.physics.gjk import distance
 from crazyarena.sim_backend.physics.scene import (
     GROUP,
     MARGIN,
     S_CENTRE,
+    S_CODE,
     S_HALF,
     S_KIND,
     S_ROTATION,
@@ -174,7 +176,7 @@ def _add_face(work, plant, count, nx, ny, nz, level, reach, mu, scene, i):
 
 @kernel
 def _add_primitive(work, plant, count, scene, i, reach):
-    """Contacts of the placed vehicle with one primitive."""
+    """Contacts of the placed vehicle with one primitive; returns their new number and the gap."""
     v, r = W_VEHICLE, S_ROTATION
     margin = 2.0 * MARGIN
     d, nx, ny, nz, px, py, pz = distance(work, v, scene, i, work, W_SIMPLEX)
@@ -194,7 +196,7 @@ def _add_primitive(work, plant, count, scene, i, reach):
         px, py, pz = 0.0, 0.0, 0.0
     gap = d - margin
     if gap > reach:
-        return count
+        return count, gap
     outer = margin - MARGIN  # of the vehicle
     px, py, pz = px - outer * nx, py - outer * ny, pz - outer * nz
     level = nx * (work[v, S_CENTRE] + px) + ny * (work[v, S_CENTRE + 1] + py)
@@ -202,14 +204,15 @@ def _add_primitive(work, plant, count, scene, i, reach):
     before = count
     count = _add_face(work, plant, count, nx, ny, nz, level, reach, FRICTION_OBJECT, scene, i)
     if count > before:
-        return count
+        return count, gap
     bx = work[v, r] * nx + work[v, r + 3] * ny + work[v, r + 6] * nz
     by = work[v, r + 1] * nx + work[v, r + 4] * ny + work[v, r + 7] * nz
     bz = work[v, r + 2] * nx + work[v, r + 5] * ny + work[v, r + 8] * nz
     qx = work[v, r] * px + work[v, r + 3] * py + work[v, r + 6] * pz
     qy = work[v, r + 1] * px + work[v, r + 4] * py + work[v, r + 7] * pz
     qz = work[v, r + 2] * px + work[v, r + 5] * py + work[v, r + 8] * pz
-    return _add(work, plant, count, bx, by, bz, qx, qy, qz, gap, FRICTION_OBJECT)
+    count = _add(work, plant, count, bx, by, bz, qx, qy, qz, gap, FRICTION_OBJECT)
+    return count, gap
 
 
 @kernel
@@ -259,17 +262,22 @@ def _respond(body, plant, scene, ground, dt, reach, work):
     advance_pose(body, -dt)
     x, y, z = body[B_POS], body[B_POS + 1], body[B_POS + 2]
     place_vehicle(work, x, y, z, body[B_QUAT], body[B_QUAT + 1], body[B_QUAT + 2], body[B_QUAT + 3])
-    touched = first_contact_placed(scene, ground, work)
+    touched = NO_CONTACT
     count = np.int64(0)
+    header = np.int64(0)
+    for i in range(scene.shape[0]):
+        if scene[i, S_KIND] == GROUP:
+            header = np.int64(i)
+        elif point_distance(scene, i, x, y, z) < VEHICLE_REACH + reach:
+            count, gap = _add_primitive(work, plant, count, scene, i, reach)
+            if touched < 0 and gap < CONTACT_GAP and boxes_overlap(scene, header, i, work):
+                touched = int(scene[i, S_CODE])
     if ground >= 0 and z < VEHICLE_REACH + reach:
         count = _add_face(
             work, plant, count, 0.0, 0.0, 1.0, 0.0, reach, FRICTION_GROUND, scene, np.int64(-1)
         )
-    for i in range(scene.shape[0]):
-        if scene[i, S_KIND] == GROUP:
-            continue
-        if point_distance(scene, i, x, y, z) < VEHICLE_REACH + reach:
-            count = _add_primitive(work, plant, count, scene, i, reach)
+        if touched < 0 and touches_ground(work):
+            touched = ground
     if count > 0:
         v, r = W_VEHICLE, S_ROTATION
         ux, uy, uz = body[B_VEL], body[B_VEL + 1], body[B_VEL + 2]

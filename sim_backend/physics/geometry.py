@@ -22,6 +22,7 @@ from crazyarena.sim_backend.physics.scene import (
     BOX,
     CYLINDER,
     GATE_ROWS,
+    GROUP,
     MARGIN,
     ROW_SIZE,
     S_CENTRE,
@@ -43,8 +44,7 @@ NO_GROUND = -1  # ground code of a world without ground
 # once for each literal value.
 W_VEHICLE = np.int64(0)  # the vehicle as a shape
 W_OTHER = np.int64(1)  # a ray, or another vehicle, as a shape
-W_WORLD = np.int64(2)  # a shape whose frame is the world's
-W_SIMPLEX = np.int64(3)
+W_SIMPLEX = np.int64(2)
 W_CACHE = W_SIMPLEX + SIMPLEX_ROWS  # where clearance was last computed, and its value
 W_CONTACTS = W_CACHE + 1
 MAX_CONTACTS = 12
@@ -55,9 +55,9 @@ VEHICLE_REACH = math.hypot(VEHICLE_RADIUS, VEHICLE_HALF_LENGTH) + MARGIN
 
 # Bullet's box around a hull counts the margin twice; so does its bounding sphere, of whose
 # radius the contact breaking threshold is 2 %.
-_VEHICLE_BOX = VEHICLE_RADIUS + 2 * MARGIN
-_VEHICLE_BOX_Z = VEHICLE_HALF_LENGTH + 2 * MARGIN
-CONTACT_GAP = 0.02 * math.sqrt(2 * _VEHICLE_BOX**2 + _VEHICLE_BOX_Z**2)
+_HULL_BOX = VEHICLE_RADIUS + MARGIN
+_HULL_BOX_Z = VEHICLE_HALF_LENGTH + MARGIN
+CONTACT_GAP = 0.02 * math.sqrt(2 * (_HULL_BOX + MARGIN) ** 2 + (_HULL_BOX_Z + MARGIN) ** 2)
 
 RAY_OFFSETS = (-0.15, -0.10, -0.05, 0.0, 0.05, 0.10, 0.15)  # m, sideways in the gate's plane
 RAY_HALF_LENGTH = 0.1875  # m, the rays run upwards
@@ -71,7 +71,7 @@ _RAY_MARGIN = 0.0014
 def make_workspace() -> NDArray[np.float64]:
     """Scratch rows of one vehicle, (WORK_ROWS, ROW_SIZE)."""
     work = np.zeros((WORK_ROWS, ROW_SIZE))
-    for i in (W_VEHICLE, W_OTHER, W_WORLD):
+    for i in (W_VEHICLE, W_OTHER):
         work[i, S_ROTATION : S_ROTATION + 9] = np.eye(3).ravel()
     forget(work)
     return work
@@ -190,21 +190,28 @@ def gap(scene, i, work):
 
 
 @kernel
-def _extent(frame, f, axis, shape, s, hx, hy, hz):
-    """Half size, along one axis of frame f, of a box of half sizes h turned like shape s."""
-    a, b, c = S_ROTATION + axis, S_ROTATION + axis + 3, S_ROTATION + axis + 6
-    total = 0.0
-    for k in range(3):
-        r = S_ROTATION + k
-        turn = frame[f, a] * shape[s, r] + frame[f, b] * shape[s, r + 3]
-        turn += frame[f, c] * shape[s, r + 6]
-        total += abs(turn) * (hx if k == 0 else (hy if k == 1 else hz))
-    return total
+def _extent(shapes, i, ux, uy, uz, hx, hy, hz):
+    """Half size, along a direction u, of a box of half sizes h turned like shape i."""
+    r = S_ROTATION
+    return (
+        abs(ux * shapes[i, r] + uy * shapes[i, r + 3] + uz * shapes[i, r + 6]) * hx
+        + abs(ux * shapes[i, r + 1] + uy * shapes[i, r + 4] + uz * shapes[i, r + 7]) * hy
+        + abs(ux * shapes[i, r + 2] + uy * shapes[i, r + 5] + uz * shapes[i, r + 8]) * hz
+    )
 
 
 @kernel
-def _boxes_overlap(frame, f, scene, i, work):
-    """True when the boxes around vehicle and primitive overlap in the axes of a frame."""
+def _vehicle_extent(work, ux, uy, uz):
+    """Half size of Bullet's box around the placed vehicle, along an axis of the box."""
+    return _extent(work, W_VEHICLE, ux, uy, uz, _HULL_BOX, _HULL_BOX, _HULL_BOX_Z) + MARGIN
+
+
+@kernel
+def boxes_overlap(scene, header, i, work):
+    """True when Bullet's boxes around vehicle and primitive overlap.
+
+    Tried along the axes of the object's frame and along those of the world.
+    """
     dx = work[W_VEHICLE, S_CENTRE] - scene[i, S_CENTRE]
     dy = work[W_VEHICLE, S_CENTRE + 1] - scene[i, S_CENTRE + 1]
     dz = work[W_VEHICLE, S_CENTRE + 2] - scene[i, S_CENTRE + 2]
@@ -212,12 +219,16 @@ def _boxes_overlap(frame, f, scene, i, work):
     inner = 0.0 if scene[i, S_KIND] == BOX else MARGIN
     hx, hy = scene[i, S_HALF] + inner, scene[i, S_HALF + 1] + inner
     hz = scene[i, S_HALF + 2] + inner
-    inner_xy, inner_z = _VEHICLE_BOX - MARGIN, _VEHICLE_BOX_Z - MARGIN
-    for axis in range(3):
-        a, b, c = S_ROTATION + axis, S_ROTATION + axis + 3, S_ROTATION + axis + 6
-        apart = abs(frame[f, a] * dx + frame[f, b] * dy + frame[f, c] * dz)
-        own = _extent(frame, f, axis, work, W_VEHICLE, inner_xy, inner_xy, inner_z)
-        if apart > own + _extent(frame, f, axis, scene, i, hx, hy, hz) + 2.0 * MARGIN:
+    for axis in range(6):
+        if axis < 3:
+            r = S_ROTATION + axis
+            ux, uy, uz = scene[header, r], scene[header, r + 3], scene[header, r + 6]
+        else:
+            ux = 1.0 if axis == 3 else 0.0
+            uy = 1.0 if axis == 4 else 0.0
+            uz = 1.0 if axis == 5 else 0.0
+        reach = _extent(scene, i, ux, uy, uz, hx, hy, hz) + MARGIN
+        if abs(ux * dx + uy * dy + uz * dz) > reach + _vehicle_extent(work, ux, uy, uz):
             return False
     return True
 
@@ -228,9 +239,7 @@ def touches_ground(work):
     z = work[W_VEHICLE, S_CENTRE + 2]
     if z > VEHICLE_REACH + CONTACT_GAP:
         return False
-    inner_xy, inner_z = _VEHICLE_BOX - MARGIN, _VEHICLE_BOX_Z - MARGIN
-    box = _extent(work, W_WORLD, np.int64(2), work, W_VEHICLE, inner_xy, inner_xy, inner_z) + MARGIN
-    return z <= box and ground_gap(work) < CONTACT_GAP
+    return z <= _vehicle_extent(work, 0.0, 0.0, 1.0) and ground_gap(work) < CONTACT_GAP
 
 
 @kernel
@@ -240,31 +249,9 @@ def touches(scene, header, i, work):
     z = work[W_VEHICLE, S_CENTRE + 2]
     return (
         point_distance(scene, i, x, y, z) < VEHICLE_REACH + CONTACT_GAP
-        and _boxes_overlap(scene, header, scene, i, work)
-        and _boxes_overlap(work, W_WORLD, scene, i, work)
+        and boxes_overlap(scene, header, i, work)
         and gap(scene, i, work) < CONTACT_GAP
     )
-
-
-@kernel
-def first_contact_placed(scene, ground, work):
-    """:func:`first_contact` for a vehicle already placed, without the broad phase."""
-    x, y = work[W_VEHICLE, S_CENTRE], work[W_VEHICLE, S_CENTRE + 1]
-    z = work[W_VEHICLE, S_CENTRE + 2]
-    i = np.int64(0)
-    while i < scene.shape[0]:
-        count = int(scene[i, S_COUNT])
-        dx, dy = x - scene[i, S_CENTRE], y - scene[i, S_CENTRE + 1]
-        dz = z - scene[i, S_CENTRE + 2]
-        reach = scene[i, S_RADIUS] + VEHICLE_REACH + CONTACT_GAP
-        if dx * dx + dy * dy + dz * dz < reach * reach:
-            for j in range(i + 1, i + 1 + count):
-                if touches(scene, i, j, work):
-                    return int(scene[i, S_CODE])
-        i += 1 + count
-    if ground >= 0 and touches_ground(work):
-        return ground
-    return NO_CONTACT
 
 
 @kernel
@@ -274,9 +261,13 @@ def _search_contact(scene, ground, px, py, pz, qx, qy, qz, qw, work):
     if clear and (ground < 0 or pz > reach):
         return NO_CONTACT
     place_vehicle(work, px, py, pz, qx, qy, qz, qw)
-    if clear:
-        return ground if touches_ground(work) else NO_CONTACT
-    return first_contact_placed(scene, ground, work)
+    header = np.int64(0)
+    for i in range(0 if clear else scene.shape[0]):
+        if scene[i, S_KIND] == GROUP:
+            header = np.int64(i)
+        elif touches(scene, header, i, work):
+            return int(scene[i, S_CODE])
+    return ground if ground >= 0 and touches_ground(work) else NO_CONTACT
 
 
 @kernel
@@ -429,7 +420,7 @@ def gate_rays_blocked(scene, gate, work):
     for offset in RAY_OFFSETS:
         sx, sy, sz = _place_ray(scene, gate, offset, work)
         for i in range(scene.shape[0]):
-            if scene[i, S_KIND] != BOX and scene[i, S_KIND] != CYLINDER:
+            if scene[i, S_KIND] == GROUP:
                 continue
             if point_distance(scene, i, sx, sy, sz) < 0.0:
                 continue
