@@ -31,10 +31,8 @@ from crazyarena.runner.verdict_row import (
 from crazyarena.sim_backend.jit import kernel
 from crazyarena.sim_backend.physics.geometry import (
     first_contact,
-    forget,
     gate_in_range,
     gate_ray_hit,
-    gate_rays_blocked,
 )
 from crazyarena.sim_backend.physics.scene import GATE_ROWS, S_CENTRE, S_RADIUS
 from crazyarena.sim_backend.trace import (
@@ -132,89 +130,19 @@ def _first_violation(rules, row):
 
 
 @kernel
-def _passes(memory, row, scene, blocked, work):
-    """The gate test of one tick, for the gate that is next."""
-    gate = int(memory[ME_GATE])
-    if blocked[gate] > 0.0:
-        return True
-    p, q = TR_POS, TR_QUAT
-    return gate_ray_hit(
-        scene,
-        gate,
-        row[p],
-        row[p + 1],
-        row[p + 2],
-        row[q],
-        row[q + 1],
-        row[q + 2],
-        row[q + 3],
-        work,
-    )
-
-
-@kernel
-def _contact(row, scene, ground, work):
-    if row[TR_CONTACT] != UNKNOWN_CONTACT:
-        return row[TR_CONTACT]
-    p, q = TR_POS, TR_QUAT
-    code = first_contact(
-        scene,
-        ground,
-        row[p],
-        row[p + 1],
-        row[p + 2],
-        row[q],
-        row[q + 1],
-        row[q + 2],
-        row[q + 3],
-        work,
-    )
-    return float(code)
-
-
-@kernel
-def begin(rules, memory, scene, blocked, work):
-    """Reset the memory for an episode in ``scene``; finds gates that pass by themselves."""
-    forget(work)
-    for i in range(MEMORY_SIZE):
-        memory[i] = 0.0
-    memory[ME_CONTACT] = NO_CONTACT
-    n_gates = int(rules[RU_GATES])
-    if n_gates == 0:
-        memory[ME_GATE] = -1.0
-    for g in range(n_gates):
-        blocked[g] = 1.0 if gate_rays_blocked(scene, g, work) else 0.0
-
-
-@kernel
-def describe(rules, memory, row, scene, gates, nominal, work, out):
+def _describe(rules, memory, row, near, gates, nominal, out):
     """What a verdict tells of the last tick beyond the rules: target gate, distance, margins."""
     gate = int(memory[ME_GATE])
     out[VD_TIME] = row[TR_TIME]
     out[VD_TICKS] = memory[ME_TICKS]
     out[VD_GATE] = gate
-    out[VD_IN_RANGE] = 0.0
+    out[VD_IN_RANGE] = 1.0 if near else 0.0
     if gate < 0:
         out[VD_GATE_TYPE] = -1.0
         for i in range(6):
             out[VD_GATE_POSE + i] = math.nan
     else:
         out[VD_GATE_TYPE] = gates[gate, 6]
-        p, q = TR_POS, TR_QUAT
-        near = gate_in_range(
-            scene,
-            gate,
-            rules[RU_RANGE],
-            row[p],
-            row[p + 1],
-            row[p + 2],
-            row[q],
-            row[q + 1],
-            row[q + 2],
-            row[q + 3],
-            work,
-        )
-        out[VD_IN_RANGE] = 1.0 if near else 0.0
         for i in range(6):
             out[VD_GATE_POSE + i] = gates[gate, i] if near else nominal[gate, i]
     mse = 0.0
@@ -237,6 +165,8 @@ def judge(rules, memory, rows, scene, ground, blocked, gates, nominal, work, out
     for k in range(rows.shape[0]):
         row = rows[k]
         time = row[TR_TIME]
+        px, py, pz = row[TR_POS], row[TR_POS + 1], row[TR_POS + 2]
+        qx, qy, qz, qw = row[TR_QUAT], row[TR_QUAT + 1], row[TR_QUAT + 2], row[TR_QUAT + 3]
         # Poses may come at another rate than the simulation's ticks: count by their time.
         tick = math.floor(time * rules[RU_TICK_RATE] + 0.5)
         elapsed = max(1.0, tick - memory[ME_TICKS])
@@ -247,13 +177,13 @@ def judge(rules, memory, rows, scene, ground, blocked, gates, nominal, work, out
             gate = int(memory[ME_GATE])
             header = GATE_ROWS * gate
             # A cheap look first: the rays lie within the gate's bounding sphere.
-            dx = row[TR_POS] - scene[header, S_CENTRE]
-            dy = row[TR_POS + 1] - scene[header, S_CENTRE + 1]
+            dx, dy = px - scene[header, S_CENTRE], py - scene[header, S_CENTRE + 1]
             reach = scene[header, S_RADIUS] + 0.1
+            passed = blocked[gate] > 0.0
+            if not passed and dx * dx + dy * dy < reach * reach:
+                passed = gate_ray_hit(scene, gate, px, py, pz, qx, qy, qz, qw, work)
             memory[ME_BONUS] = 0.0
-            if (dx * dx + dy * dy < reach * reach or blocked[gate] > 0.0) and _passes(
-                memory, row, scene, blocked, work
-            ):
+            if passed:
                 memory[ME_BONUS] = 1.0
                 memory[ME_GATE] = -1.0 if gate + 1 >= n_gates else gate + 1.0
                 n_events = _note(events, n_events, EV_GATE, tick, time, gate)
@@ -261,9 +191,7 @@ def judge(rules, memory, rows, scene, ground, blocked, gates, nominal, work, out
         # Goal.
         at_goal = 0.0
         if memory[ME_GATE] < 0.0:
-            dx = row[TR_POS] - rules[RU_GOAL]
-            dy = row[TR_POS + 1] - rules[RU_GOAL + 1]
-            dz = row[TR_POS + 2] - rules[RU_GOAL + 2]
+            dx, dy, dz = px - rules[RU_GOAL], py - rules[RU_GOAL + 1], pz - rules[RU_GOAL + 2]
             if dx * dx + dy * dy + dz * dz < limit2:
                 at_goal = 1.0
         if at_goal > 0.0:
@@ -279,7 +207,9 @@ def judge(rules, memory, rows, scene, ground, blocked, gates, nominal, work, out
                 n_events = _note(events, n_events, EV_LEFT_GOAL, tick, time, 0.0)
         memory[ME_AT_GOAL] = at_goal
 
-        contact = _contact(row, scene, ground, work)
+        contact = row[TR_CONTACT]
+        if contact == UNKNOWN_CONTACT:
+            contact = float(first_contact(scene, ground, px, py, pz, qx, qy, qz, qw, work))
         if contact != memory[ME_CONTACT]:
             if contact == NO_CONTACT:
                 n_events = _note(events, n_events, EV_CONTACT_END, tick, time, memory[ME_CONTACT])
@@ -322,5 +252,9 @@ def judge(rules, memory, rows, scene, ground, blocked, gates, nominal, work, out
             out[VD_REWARD] = reward
             out[VD_DONE] = 1.0 if done else 0.0
             out[VD_TUMBLED] = tumbled
-            describe(rules, memory, row, scene, gates, nominal, work, out)
+            gate = int(memory[ME_GATE])
+            near = gate >= 0 and gate_in_range(
+                scene, gate, rules[RU_RANGE], px, py, pz, qx, qy, qz, qw, work
+            )
+            _describe(rules, memory, row, near, gates, nominal, out)
     return n_events

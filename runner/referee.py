@@ -38,7 +38,11 @@ from crazyarena.runner.verdict_row import (
     VD_TUMBLED,
     VD_VIOLATION,
 )
-from crazyarena.sim_backend.physics.geometry import make_workspace
+from crazyarena.sim_backend.physics.geometry import (
+    forget,
+    gate_rays_blocked,
+    make_workspace,
+)
 from crazyarena.sim_backend.physics.scene import build_scene
 from crazyarena.sim_backend.trace import (
     NO_CONTACT,
@@ -183,7 +187,13 @@ class Referee:
         self._scene = build_scene(self._gates, obstacles)
         self._ground = self._n_gates + self._n_obstacles
         self._pose_lists = [list(row[:6]) for row in self._gates]
-        rules_kernel.begin(self._rules, self._memory, self._scene, self._blocked, self._work)
+        forget(self._work)
+        self._memory[:] = 0.0
+        self._memory[rules_kernel.ME_CONTACT] = NO_CONTACT
+        if self._n_gates == 0:
+            self._memory[rules_kernel.ME_GATE] = -1.0
+        for gate in range(self._n_gates):
+            self._blocked[gate] = gate_rays_blocked(self._scene, gate, self._work)
         self._verdict: Verdict | None = None
 
     def judge(self, rows: Array) -> Verdict:
