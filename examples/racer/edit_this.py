@@ -1,0 +1,157 @@
+"""The example controller: plan a fast path through the gates, fly it with full-state setpoints.
+
+Worth copying for: planning once in the constructor, keeping every control step cheap (0.1 ms),
+re-planning only the next leg when a gate's exact pose is revealed, correcting the unknown mass
+with one integrator per axis, and expecting the stale observation that opens later episodes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from competition_utils import Command, timing_ep, timing_step
+from path import Gate, Limits, Path, fly_through, oriented
+
+ARENA = (np.array([-3.0, -3.0, -0.1]), np.array([3.0, 3.0, 2.0]))
+LIFT_OFF = np.array([0.0, 0.0, 4.0])  # m/s2: off the ground at once, whatever the mass
+STIFFNESS = 0.3
+INTEGRAL = np.array([1.0, 1.0, 8.0])  # 1/s2, from position error to acceleration
+JOIN_TIME = 1.0  # s, to get from the true start onto the path
+REROUTE_LIMIT = 5.0  # m/s2, for the detour to a gate that is not where it was said to be
+
+
+class Controller:
+    """Contract: Safe Robot Learning Competition (IROS 2022), ``edit_this.py``."""
+
+    def __init__(
+        self, initial_obs, initial_info, use_firmware=False, buffer_size=100, verbose=False
+    ):
+        if not use_firmware:
+            raise ValueError("this controller flies with firmware commands only")
+        self.CTRL_TIMESTEP = initial_info["ctrl_timestep"]
+        self.CTRL_FREQ = initial_info["ctrl_freq"]
+        self.VERBOSE = verbose
+        self.BUFFER_SIZE = buffer_size
+
+        heights = [initial_info["gate_dimensions"][k]["height"] for k in ("tall", "low")]
+        self.heights = heights
+        nominal = initial_info["nominal_gates_pos_and_type"]
+        poses = [(np.array([g[0], g[1], heights[g[6]]]), g[5]) for g in nominal]
+        self.nominal = [(g[0], g[1], g[5]) for g in nominal]
+        start = np.array(initial_obs[0:5:2], dtype=float)
+        goal = np.array(initial_info["x_reference"], dtype=float)[0:5:2]
+        obstacles = np.array(initial_info["nominal_obstacles_pos"], dtype=float).reshape(-1, 6)
+
+        spread = initial_info["gates_and_obs_randomization"]
+        limits = Limits()
+        if spread:
+            # Gates move: leave time to react. Obstacles move and are never shown.
+            limits = Limits(acceleration=3.0, speed=2.0, gate_speed=1.15, obstacle_uncertainty=0.17)
+        self.limits = limits
+        self.gates = oriented(poses, start, goal)
+        self.plan: Path = fly_through(start, self.gates, goal, obstacles, limits, ARENA)
+
+        self.reset()
+        self.interEpisodeReset()
+
+    def reset(self):
+        """Forget the flight; the plan of the nominal track stays."""
+        self.path = self.plan
+        self.revealed = -1
+        self.shift = None
+        self.stiffen = np.zeros(3)
+        self.bias = np.zeros(3)
+        self.interstep_counter = 0
+        self.interepisode_counter = 0
+
+    def cmdFirmware(self, time, obs, reward=None, done=None, info=None):
+        """Return ``(Command, args)`` for this control step; see the contract for the inputs."""
+        if time == 0.0:
+            self.reset()
+        # The first observation of later episodes is the end of the one before.
+        position = np.array(obs[0:5:2]) if time > 0.0 else None
+        if info:
+            self._look(time, position, info)
+
+        where, velocity, acceleration, jerk = self.path.at(time)
+        if position is not None:
+            if self.shift is None:  # the start is not quite where it was said to be
+                self.shift = position - where
+            where = where + self.shift * _fade(time, JOIN_TIME)
+            self._correct(where - position)
+        push = acceleration + self.bias
+        if time < 0.15:
+            push = np.maximum(push, LIFT_OFF)
+        return Command.FULLSTATE, [
+            where + self.stiffen,
+            velocity,
+            push,
+            0.0,
+            _body_rates(push, jerk),
+        ]
+
+    def _look(self, time, position, info):
+        """Re-route through the next gate as soon as its exact pose is shown."""
+        gate = info["current_target_gate_id"]
+        if gate < 0 or gate == self.revealed or not info["current_target_gate_in_range"]:
+            return
+        self.revealed = gate
+        x, y, z, _, _, yaw = info["current_target_gate_pos"]
+        if (x, y, yaw) == self.nominal[gate]:
+            return
+        normal = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+        if normal @ self.gates[gate].normal < 0:
+            normal = -normal
+        if time >= self.path.knot_time(self.path.gate_knots[gate]) - 0.05:
+            return
+        self.path = self.path.rerouted(time, gate, Gate(np.array([x, y, z]), normal), REROUTE_LIMIT)
+
+    def _correct(self, error):
+        """Stiffen the vehicle's own position loop a little and integrate what stays.
+
+        More stiffness, or damping from these 30 Hz positions, makes a light vehicle oscillate:
+        its attitude loop is not fast enough for it.
+        """
+        self.stiffen = np.clip(STIFFNESS * error, -0.1, 0.1)
+        self.bias = np.clip(self.bias + INTEGRAL * self.CTRL_TIMESTEP * error, -3.0, 3.0)
+
+    def cmdSimOnly(self, time, obs, reward=None, done=None, info=None):
+        raise NotImplementedError("this controller flies with firmware commands only")
+
+    @timing_step
+    def interStepLearn(self, action, obs, reward, done, info):
+        """Nothing is learnt from a step."""
+        self.interstep_counter += 1
+
+    @timing_ep
+    def interEpisodeLearn(self):
+        """Nothing is learnt from an episode."""
+        self.interepisode_counter += 1
+
+    def interEpisodeReset(self):
+        """Start the timing of the next episode."""
+        self.interstep_learning_time = 0
+        self.interstep_learning_occurrences = 0
+        self.interepisode_learning_time = 0
+
+
+def _fade(time, duration):
+    """1 at time 0, 0 from ``duration`` on, smooth in between."""
+    x = min(time / duration, 1.0)
+    return 1.0 - x * x * x * (10.0 - x * (15.0 - 6.0 * x))
+
+
+def _body_rates(acceleration, jerk):
+    """Roll, pitch and yaw rate (rad/s) of a quadrotor following this jerk at yaw 0.
+
+    Mellinger and Kumar, "Minimum snap trajectory generation and control", ICRA 2011.
+    """
+    thrust = acceleration + [0.0, 0.0, 9.81]
+    norm = math.sqrt(thrust @ thrust)
+    z = thrust / norm
+    across = math.hypot(z[1], z[2])
+    y = np.array([0.0, z[2], -z[1]]) / across
+    x = np.array([y[1] * z[2] - y[2] * z[1], y[2] * z[0], -y[1] * z[0]])
+    h = (jerk - (jerk @ z) * z) / norm
+    return [-float(h @ y), float(h @ x), 0.0]
