@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from crazyarena.sim_backend.crtp.packets import EIO, ENOENT, OK, Packet, echo
+from crazyarena.sim_backend.crtp.packets import EIO, ENOENT, OK, Packet, Port, reply
 from crazyarena.sim_backend.firmware.planner import TRAJECTORY_MEMORY_SIZE
 
 MAX_READ = 24
@@ -133,7 +133,7 @@ class MemoryService:
             answer = self._answer(packet.channel, packet.data)
         except struct.error:
             return []
-        return [] if answer is None else [echo(packet, answer)]
+        return [] if answer is None else [reply(Port.MEMORY, packet.channel, answer)]
 
     def _answer(self, channel: int, data: bytes) -> bytes | None:
         if channel == _INFO:

@@ -1,0 +1,216 @@
+"""Virtual Crazyflies in wall time, one UDP port each."""
+
+from __future__ import annotations
+
+import math
+import selectors
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from crazyarena.clock import Clock, WallClock
+from crazyarena.errors import InputError
+from crazyarena.mocap.sim_source import SimSource
+from crazyarena.mocap.zenoh_link import ZenohPublisher
+from crazyarena.sim_backend.crtp.faults import Faults
+from crazyarena.sim_backend.crtp.link import BASE_PORT, UdpLink
+from crazyarena.sim_backend.crtp.swarm import BATCH_MS, VirtualSwarm
+
+_STALL_MS = 50  # behind wall time by more than this is worth counting
+_SLICE_MS = 100  # caught up at a time, between looks at the sockets
+
+
+@dataclass(slots=True)
+class Pace:
+    """How the simulation kept up with wall time.
+
+    ticks: simulated, ms; wakes: passes of the loop; stalls: times it had fallen behind by more
+    than 50 ms; worst: the most it had fallen behind, ms. Nothing is ever skipped.
+    """
+
+    ticks: int = 0
+    wakes: int = 0
+    stalls: int = 0
+    worst: int = 0
+
+
+class VirtualServer:
+    """Runs a swarm in wall time and connects each vehicle to a UDP port.
+
+    Parameters
+    ----------
+    swarm: nobody else may advance it.
+    host, port: vehicle i listens on ``port + i``; port 0 takes free ones.
+    faults: at the start, copied for each vehicle.
+    clock: wall clock.
+    cameras: sees the true poses; what it delivers is given to ``publisher``.
+    publisher: sends the frames of the cameras to whoever listens.
+    seed: of the faults' randomness.
+
+    Raises
+    ------
+    InputError: a port is taken.
+    """
+
+    def __init__(
+        self,
+        swarm: VirtualSwarm,
+        host: str = "127.0.0.1",
+        port: int = BASE_PORT,
+        *,
+        faults: Faults | None = None,
+        clock: Clock | None = None,
+        cameras: SimSource | None = None,
+        publisher: ZenohPublisher | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.swarm = swarm
+        self.pace = Pace()
+        self.links: list[UdpLink] = []
+        self._clock = clock or WallClock()
+        self._cameras = cameras
+        self._publisher = publisher
+        self._origin: float | None = None
+        self._first_tick = swarm.fleet.tick
+        self._lock = threading.RLock()
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._selector = selectors.DefaultSelector()
+        try:
+            for index in range(len(swarm.vehicles)):
+                number = port + index if port else 0
+                if number > 65535:
+                    raise InputError(f"virtual Crazyflie: port {number} is beyond 65535")
+                link = UdpLink(host, number, replace(faults or Faults()), seed + index)
+                self.links.append(link)
+                self._selector.register(link, selectors.EVENT_READ, index)
+        except InputError:
+            self.close()
+            raise
+
+    @property
+    def uris(self) -> list[str]:
+        """What clients open, by vehicle."""
+        return [link.uri for link in self.links]
+
+    # Faults, from any thread. ``vehicle`` None means all.
+
+    def set_faults(self, vehicle: int | None = None, **changes: Any) -> None:
+        """Change fields of :class:`.faults.Faults`."""
+        with self._lock:
+            for index in self._chosen(vehicle):
+                for name, value in changes.items():
+                    setattr(self.links[index].faults, name, value)
+
+    def cut(self, seconds: float, vehicle: int | None = None) -> None:
+        """Cut the link for some time."""
+        self.set_faults(vehicle, cut_until=self._clock.now() + seconds)
+
+    def set_battery(self, volts: float, vehicle: int | None = None) -> None:
+        """Continue with a battery of this voltage without load, 3.0 to 4.2 V."""
+        with self._lock:
+            for index in self._chosen(vehicle):
+                self.swarm.vehicles[index].set_battery(volts)
+
+    def reboot(self, vehicle: int | None = None) -> None:
+        """Restart the firmware where the vehicle stands."""
+        with self._lock:
+            for index in self._chosen(vehicle):
+                self.swarm.vehicles[index].reboot()
+
+    def _chosen(self, vehicle: int | None) -> Sequence[int]:
+        return range(len(self.links)) if vehicle is None else (vehicle,)
+
+    # The loop
+
+    def start(self) -> None:
+        """Run in a thread until :meth:`close`."""
+        self._thread = threading.Thread(target=self.run, name="virtual-cf", daemon=True)
+        self._thread.start()
+
+    def run(self) -> None:
+        """Run until :meth:`stop`."""
+        with self._lock:
+            self._origin = self._clock.now()
+        while not self._stop.is_set():
+            self._wait()
+            with self._lock:
+                self.step()
+
+    def stop(self) -> None:
+        """End :meth:`run` within some milliseconds; callable from a signal handler."""
+        self._stop.set()
+
+    def close(self) -> None:
+        """Stop and release the ports; idempotent."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        for link in self.links:
+            link.close()
+        self.links.clear()
+        self._selector.close()
+
+    def __enter__(self) -> VirtualServer:
+        self.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def _wait(self) -> None:
+        deadline = self._wall(self.swarm.fleet.tick + BATCH_MS)
+        deadline = min(deadline, *(link.due() for link in self.links))
+        self._selector.select(max(0.0, deadline - self._clock.now()))
+
+    def _wall(self, tick: int) -> float:
+        """When a tick is due, s on the clock."""
+        assert self._origin is not None
+        return self._origin + 1e-3 * (tick - self._first_tick)
+
+    def step(self) -> None:
+        """One pass: what arrived, then the time that has passed."""
+        assert self._origin is not None, "run() sets the origin of time"
+        self.pace.wakes += 1
+        self._exchange()
+        fleet = self.swarm.fleet
+        now = self._clock.now()
+        target = self._first_tick + math.floor(1e3 * (now - self._origin))
+        behind = target - fleet.tick
+        self.pace.worst = max(self.pace.worst, behind)
+        if behind > _STALL_MS:
+            self.pace.stalls += 1
+        if behind >= BATCH_MS:
+            ticks = min(behind, _SLICE_MS)
+            self.swarm.advance(ticks, self._say)
+            self.pace.ticks += ticks
+            self._film()
+        now = self._clock.now()
+        for link in self.links:
+            link.flush(now)
+
+    def _exchange(self) -> None:
+        now = self._clock.now()
+        for link, vehicle in zip(self.links, self.swarm.vehicles, strict=True):
+            for datagram, sender in link.receive(now):
+                for answer in vehicle.receive(datagram):
+                    link.send(answer, now, sender)
+            link.flush(now)
+
+    def _say(self, vehicle: int, datagram: bytes) -> None:
+        self.links[vehicle].send(datagram, self._clock.now())
+
+    def _film(self) -> None:
+        if self._cameras is None:
+            return
+        # A slice of the past, after a stall, is seen as it is now: cameras cannot look back.
+        time = self._wall(self.swarm.fleet.tick)
+        if self._cameras.next_exposure <= time:
+            truth = self.swarm.truth()
+            while self._cameras.next_exposure <= time:
+                self._cameras.expose(self._cameras.next_exposure, truth)
+        for frame in self._cameras.frames():
+            if self._publisher is not None:
+                self._publisher.publish(frame)
