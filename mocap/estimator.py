@@ -53,7 +53,7 @@ class EstimatorConfig:
     position_std: float = 0.0007
     attitude_std: float = 0.01
     jerk: float = 10.0
-    angular_jerk: float = 150.0
+    angular_jerk: float = 60.0
     stale_after: float = 0.15
     fresh_within: float = 0.03
     jump_gate: float = 0.08

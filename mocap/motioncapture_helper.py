@@ -9,14 +9,16 @@ the first argument, one :mod:`crazyarena.mocap.wire` payload per message; text m
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
+import signal
 import socket
 import sys
 
 import numpy as np
 
-from crazyarena.mocap.stamps import host_id, host_time
+from crazyarena.mocap.stamps import host_id, host_time, new_run
 from crazyarena.mocap.wire import encode
 from crazyarena.types import Pose
 
@@ -28,9 +30,17 @@ def _silence() -> None:
     os.dup2(null, 2)
 
 
+def _die_with_parent() -> None:
+    # A vendor client that spins would outlive a killed session and keep its ports.
+    if sys.platform == "linux":
+        set_death_signal = 1
+        ctypes.CDLL(None).prctl(set_death_signal, signal.SIGKILL)
+
+
 def main(descriptor: int, vendor: str, options: dict[str, str], latency: float) -> None:
     """Connect, then forward every frame until the other end is gone."""
     out = socket.socket(fileno=descriptor)
+    _die_with_parent()
     _silence()
     try:
         import motioncapture
@@ -43,7 +53,7 @@ def main(descriptor: int, vendor: str, options: dict[str, str], latency: float) 
         out.send(f"error {error}".encode())
         return
     out.send(b"ready")
-    host = host_id()
+    host, run = host_id(), new_run()
     frame_id = 0
     while True:
         client.waitForNextFrame()
@@ -57,7 +67,7 @@ def main(descriptor: int, vendor: str, options: dict[str, str], latency: float) 
             # Some vendors report an unseen body as NaN or as a zero quaternion.
             if np.isfinite(position).all() and 0.5 < norm < 2.0:
                 bodies[name] = Pose(position, quaternion / norm)
-        payload = encode(frame_id, now - latency, now, host, bodies)
+        payload = encode(frame_id, now - latency, now, host, run, bodies)
         frame_id += 1
         try:
             # Never wait for a session that does not read: the gap in the ids tells it.

@@ -89,7 +89,6 @@ class MotionCaptureSource:
         return self._queue.status
 
     def _run(self) -> None:
-        connected_before = False
         while not self._closing.is_set():
             near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             with near:
@@ -105,24 +104,23 @@ class MotionCaptureSource:
                         env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
                     )  # fmt: skip
                 try:
-                    connected_before |= self._receive(near, connected_before)
+                    self._receive(near)
                 finally:
                     helper.kill()
                     helper.wait()
             self._closing.wait(self._retry_after)
 
-    def _receive(self, near: socket.socket, connected_before: bool) -> bool:
-        """Pass on frames until the helper is gone or silent; True if any came."""
+    def _receive(self, near: socket.socket) -> None:
+        """Pass on frames until the helper is gone or silent."""
         patience = self._connect_timeout
-        any_frame = False
         while True:
             ready, _, _ = select.select([near, self._wake], [], [], patience)
             if self._closing.is_set():
-                return any_frame
+                return
             if not ready:
                 what = "no frames" if patience == self._stall_after else "no connection"
                 self._queue.note(SourceState.LOST, error=f"{what} for {patience:g} s")
-                return any_frame
+                return
             received = self._clock.now()
             try:
                 message = near.recv(_LARGEST)
@@ -130,21 +128,15 @@ class MotionCaptureSource:
                 message = b""
             if not message:
                 self._queue.note(SourceState.LOST, error="the mocap client stopped")
-                return any_frame
+                return
             if message.startswith(b"CAPF"):
-                if not any_frame:
-                    any_frame = True
-                    self._queue.forget_ids()
-                    if connected_before:
-                        status = self._queue.status
-                        self._queue.note(reconnects=status.reconnects + 1)
                 self._take(message, received)
             elif message == b"ready":
                 patience = self._stall_after
             else:
                 text = message.decode(errors="replace").partition(" ")[2]
                 self._queue.note(SourceState.LOST, error=text)
-                return any_frame
+                return
 
     def _take(self, message: bytes, received: float) -> None:
         try:
@@ -154,7 +146,7 @@ class MotionCaptureSource:
             return
         captured = self._reader.capture_time(wire.host, wire.captured, wire.sent, received)
         frame = PoseFrame(captured, received, wire.frame_id, wire.bodies, wire.markers)
-        self._queue.put(self._convention.frame(frame))
+        self._queue.put(self._convention.frame(frame), wire.run)
 
     def close(self) -> None:
         if self._closing.is_set():

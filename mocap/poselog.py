@@ -29,7 +29,9 @@ _NANO = 1_000_000_000
 
 def encode_logged(frame: PoseFrame) -> bytes:
     """Return the payload of a logged frame: session times stand in the stamp fields."""
-    return encode(frame.frame_id, frame.timestamp, frame.received, 0, frame.bodies, frame.markers)
+    return encode(
+        frame.frame_id, frame.timestamp, frame.received, 0, 0, frame.bodies, frame.markers
+    )
 
 
 def decode_logged(payload: bytes) -> PoseFrame:

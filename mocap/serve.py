@@ -31,9 +31,7 @@ def circling(names: Sequence[str], radius: float = 1.0, period: float = 6.0) -> 
         poses = {}
         for i, name in enumerate(names):
             angle = 2.0 * math.pi * (time / period + i / max(1, len(names)))
-            position = np.array(
-                [radius * math.cos(angle), radius * math.sin(angle), 0.5 + 0.1 * i]
-            )
+            position = np.array([radius * math.cos(angle), radius * math.sin(angle), 0.5 + 0.1 * i])
             heading = 0.5 * (angle + 0.5 * math.pi)
             poses[name] = Pose(position, np.array([0.0, 0.0, math.sin(heading), math.cos(heading)]))
         return poses

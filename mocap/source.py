@@ -75,26 +75,27 @@ class FrameQueue:
         self._frames: deque[PoseFrame] = deque()
         self._capacity = capacity
         self._ready = threading.Condition(threading.Lock())
-        self._last_id: int | None = None
+        self._last_id = 0
+        self._run: int | None = None
         self._status = SourceStatus()
 
     @property
     def status(self) -> SourceStatus:
         return self._status
 
-    def put(self, frame: PoseFrame) -> None:
+    def put(self, frame: PoseFrame, run: int) -> None:
+        """Add a frame of the sender's run ``run``; another run starts new ids."""
         with self._ready:
             status = self._status
             if status.state is SourceState.CLOSED:
                 return
             lost = 0
             reconnects = status.reconnects
-            if self._last_id is not None:
-                lost = frame.frame_id - self._last_id - 1
-                if lost < 0:
-                    # Ids only fall when the sender started anew.
-                    lost = 0
-                    reconnects += 1
+            if self._run == run:
+                lost = max(0, frame.frame_id - self._last_id - 1)
+            elif self._run is not None:
+                reconnects += 1
+            self._run = run
             self._last_id = frame.frame_id
             dropped = status.dropped
             if len(self._frames) >= self._capacity:
@@ -127,11 +128,6 @@ class FrameQueue:
         """Count one malformed payload."""
         with self._ready:
             self._status = replace(self._status, malformed=self._status.malformed + 1, error=reason)
-
-    def forget_ids(self) -> None:
-        """Expect the ids to start anew (after a reconnect that was noticed otherwise)."""
-        with self._ready:
-            self._last_id = None
 
     def take(self, timeout: float) -> list[PoseFrame]:
         with self._ready:

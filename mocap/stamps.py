@@ -34,6 +34,11 @@ def host_id() -> int:
     return int.from_bytes(hashlib.sha256(boot).digest()[:8], "little")
 
 
+def new_run() -> int:
+    """Return 64 random bits that name one run of a publisher."""
+    return uuid.uuid4().int & 0xFFFFFFFFFFFFFFFF
+
+
 class HostStamps:
     """Session time to host time, for publishers."""
 

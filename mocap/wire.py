@@ -13,6 +13,7 @@ markers               u32      M, unlabelled markers
 names                 u32      N, bytes of the name table
 frame_id              u64      counts up by one per frame
 host                  u64      identity of the host whose monotonic clock stamped the frame
+run                   u64      drawn at random by each publisher: a new one starts new ids
 captured              f64      s, host clock: when the cameras exposed
 sent                  f64      s, host clock: when the frame was published
 poses                 7f64 B   x, y, z in m; qx, qy, qz, qw (body to world)
@@ -38,7 +39,7 @@ VERSION = 1
 MAX_BODIES = 1024
 MAX_MARKERS = 16384
 MAX_NAME = 255
-_HEADER = struct.Struct("<4sBBHIIQQdd")
+_HEADER = struct.Struct("<4sBBHIIQQQdd")
 _CHECKSUM = struct.Struct("<I")
 # A unit quaternion sent as float32 by a vendor is off by 1e-7; anything beyond this is
 # a decoding mistake on the sender's side.
@@ -55,6 +56,7 @@ class WireFrame:
 
     frame_id: int
     host: int
+    run: int
     captured: float
     sent: float
     bodies: Mapping[str, Pose]
@@ -78,6 +80,7 @@ def encode(
     captured: float,
     sent: float,
     host: int,
+    run: int,
     bodies: Mapping[str, Pose],
     markers: Vector | None = None,
 ) -> bytes:
@@ -96,7 +99,17 @@ def encode(
     payload = b"".join(
         (
             _HEADER.pack(
-                MAGIC, VERSION, 0, count, len(points), len(names), frame_id, host, captured, sent
+                MAGIC,
+                VERSION,
+                0,
+                count,
+                len(points),
+                len(names),
+                frame_id,
+                host,
+                run,
+                captured,
+                sent,
             ),
             block.tobytes(),
             points.tobytes(),
@@ -138,7 +151,7 @@ def decode(payload: bytes) -> WireFrame:
     """
     if len(payload) < _HEADER.size + _CHECKSUM.size:
         raise PayloadError(f"{len(payload)} bytes are too short for a frame")
-    magic, version, flags, count, markers, names, frame_id, host, captured, sent = (
+    magic, version, flags, count, markers, names, frame_id, host, run, captured, sent = (
         _HEADER.unpack_from(payload)
     )
     if magic != MAGIC:
@@ -166,5 +179,5 @@ def decode(payload: bytes) -> WireFrame:
     table = _decode_names(payload[at : at + names], count)
     bodies = {name: Pose(row[:3], row[3:]) for name, row in zip(table, block, strict=True)}
     return WireFrame(
-        frame_id, host, captured, sent, bodies, numbers[7 * count :].reshape(markers, 3)
+        frame_id, host, run, captured, sent, bodies, numbers[7 * count :].reshape(markers, 3)
     )

@@ -12,7 +12,7 @@ from typing import Any
 from crazyarena.clock import Clock
 from crazyarena.errors import DependencyMissing, InputError
 from crazyarena.mocap.source import FrameQueue, SourceState, SourceStatus
-from crazyarena.mocap.stamps import HostStamps, StampReader, host_id, host_time
+from crazyarena.mocap.stamps import HostStamps, StampReader, host_id, host_time, new_run
 from crazyarena.mocap.wire import PayloadError, decode, encode
 from crazyarena.types import PoseFrame
 
@@ -42,7 +42,7 @@ def open_session(connect: Sequence[str] = (), listen: Sequence[str] = ()) -> Any
             config.insert_json5("connect/endpoints", json.dumps(list(connect)))
             # A listener that starts before its publisher keeps trying in the background.
             config.insert_json5("connect/exit_on_failure", "false")
-            config.insert_json5("connect/timeout_ms", "0")
+            config.insert_json5("connect/timeout_ms", "-1")
             config.insert_json5(
                 "connect/retry",
                 "{period_init_ms: 100, period_max_ms: 1000, period_increase_factor: 1.5}",
@@ -83,6 +83,7 @@ class ZenohPublisher:
 
         self._stamps = HostStamps(clock)
         self._host = host_id()
+        self._run = new_run()
         self._publisher = self._session.declare_publisher(
             key,
             encoding=zenoh.Encoding("application/x-crazyarena-poses;v=1"),
@@ -96,7 +97,15 @@ class ZenohPublisher:
         """Send one frame; returns at once."""
         captured = self._stamps.to_host(frame.timestamp)
         self._publisher.put(
-            encode(frame.frame_id, captured, host_time(), self._host, frame.bodies, frame.markers)
+            encode(
+                frame.frame_id,
+                captured,
+                host_time(),
+                self._host,
+                self._run,
+                frame.bodies,
+                frame.markers,
+            )
         )
 
     def close(self) -> None:
@@ -139,7 +148,9 @@ class ZenohSource:
             self._queue.reject(str(error))
             return
         captured = self._reader.capture_time(wire.host, wire.captured, wire.sent, received)
-        self._queue.put(PoseFrame(captured, received, wire.frame_id, wire.bodies, wire.markers))
+        self._queue.put(
+            PoseFrame(captured, received, wire.frame_id, wire.bodies, wire.markers), wire.run
+        )
 
     def frames(self, timeout: float = 0.0) -> list[PoseFrame]:
         return self._queue.take(timeout)

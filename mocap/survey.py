@@ -1,0 +1,218 @@
+"""Survey of the track: where gates and obstacles really stand, before anybody flies.
+
+Averages the poses of the track's bodies over many frames (quaternions by Markley et al. 2007),
+compares them with the level's nominal poses and refuses what is out of tolerance.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from crazyarena.errors import InputError
+from crazyarena.mocap.rotations import angle_between
+from crazyarena.types import Pose, PoseFrame, Vector
+
+FORMAT = "crazyarena-measured-track"
+VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyConfig:
+    """Requirements of a survey.
+
+    frames: frames to average; min_seen: share of them in which every body must appear;
+    position_tolerance, yaw_tolerance, tilt_tolerance: largest deviation from nominal, m and
+    rad; max_spread: largest standard deviation of a body's position, m (it must stand still).
+    ``full_turn`` False compares yaw modulo 180 degrees, for gates without a front.
+    """
+
+    frames: int = 200
+    min_seen: float = 0.8
+    position_tolerance: float = 0.15
+    yaw_tolerance: float = math.radians(10.0)
+    tilt_tolerance: float = math.radians(5.0)
+    max_spread: float = 0.005
+    full_turn: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyedBody:
+    """One measured body: mean pose, deviation from nominal and what is wrong with it.
+
+    deviation: distance from nominal, m; yaw_deviation, tilt: rad; spread: standard deviation
+    of the position, m; problem: None, or plain words.
+    """
+
+    name: str
+    pose: Pose | None
+    seen: int
+    deviation: float
+    yaw_deviation: float
+    tilt: float
+    spread: float
+    problem: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyReport:
+    """All bodies of the track, in the order of the nominal poses."""
+
+    bodies: tuple[SurveyedBody, ...]
+    frames: int
+
+    @property
+    def accepted(self) -> bool:
+        return all(body.problem is None for body in self.bodies)
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        return tuple(b.problem for b in self.bodies if b.problem is not None)
+
+    def track(self) -> dict[str, Pose]:
+        """Measured poses by name; raises InputError with every problem if any is refused."""
+        if not self.accepted:
+            raise InputError("track survey refused: " + "; ".join(self.problems))
+        return {b.name: b.pose for b in self.bodies if b.pose is not None}
+
+
+def mean_quaternion(quaternions: Vector) -> Vector:
+    """Mean attitude of (n, 4) unit quaternions; signs do not matter."""
+    _, vectors = np.linalg.eigh(quaternions.T @ quaternions)
+    mean = vectors[:, -1]
+    return -mean if mean[3] < 0 else mean
+
+
+def _yaw(quaternion: Vector) -> float:
+    x, y, z, w = quaternion.tolist()
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def _wrap(angle: float, period: float) -> float:
+    return (angle + 0.5 * period) % period - 0.5 * period
+
+
+def survey(
+    frames: Iterable[PoseFrame],
+    nominal: Mapping[str, Pose],
+    config: SurveyConfig | None = None,
+) -> SurveyReport:
+    """Measure the bodies named in ``nominal`` over the next ``config.frames`` frames."""
+    config = config or SurveyConfig()
+    samples: dict[str, list[Pose]] = {name: [] for name in nominal}
+    count = 0
+    for frame in frames:
+        count += 1
+        for name, poses in samples.items():
+            pose = frame.bodies.get(name)
+            if pose is not None:
+                poses.append(pose)
+        if count >= config.frames:
+            break
+    bodies = tuple(_measure(n, samples[n], nominal[n], count, config) for n in nominal)
+    return SurveyReport(bodies, count)
+
+
+def _measure(
+    name: str, samples: list[Pose], nominal: Pose, count: int, config: SurveyConfig
+) -> SurveyedBody:
+    need = math.ceil(config.min_seen * config.frames)
+    if not samples:
+        nan = math.nan
+        problem = f"{name} was not seen in {count} frames; is its body enabled and named so?"
+        return SurveyedBody(name, None, 0, nan, nan, nan, nan, problem)
+    positions = np.array([p.position for p in samples])
+    # The median resists the odd outlier that a mean would carry into the track.
+    centre = np.median(positions, axis=0)
+    near = np.linalg.norm(positions - centre, axis=1) <= 0.05
+    quaternions = np.array([p.quaternion for p in samples])
+    middle = mean_quaternion(quaternions)
+    upright = np.array([angle_between(middle, q) <= 0.5 for q in quaternions])
+    kept = near & upright
+    if not kept.any():
+        kept = near
+    position = positions[kept].mean(axis=0)
+    quaternion = mean_quaternion(quaternions[kept])
+    spread = float(np.sqrt(positions[kept].var(axis=0).sum()))
+    deviation = float(np.linalg.norm(position - nominal.position))
+    period = 2.0 * math.pi if config.full_turn else math.pi
+    yaw = _wrap(_yaw(quaternion) - _yaw(nominal.quaternion), period)
+    x, y, _, _ = quaternion.tolist()
+    tilt = math.acos(min(1.0, max(-1.0, 1.0 - 2.0 * (x * x + y * y))))
+    problem = None
+    seen = int(kept.sum())
+    if seen < need:
+        problem = f"{name} was seen well in {seen} of {count} frames; {need} are needed"
+    elif spread > config.max_spread:
+        problem = (
+            f"{name} moves by {spread * 1e3:.1f} mm; it must stand still "
+            f"({config.max_spread * 1e3:.1f} mm)"
+        )
+    elif deviation > config.position_tolerance:
+        problem = (
+            f"{name} stands {deviation * 1e2:.1f} cm from its nominal place; at most "
+            f"{config.position_tolerance * 1e2:.1f} cm are allowed"
+        )
+    elif abs(yaw) > config.yaw_tolerance:
+        problem = (
+            f"{name} is turned by {math.degrees(yaw):.1f} degrees against nominal; at most "
+            f"{math.degrees(config.yaw_tolerance):.1f} are allowed"
+        )
+    elif tilt > config.tilt_tolerance:
+        problem = f"{name} leans by {math.degrees(tilt):.1f} degrees; straighten it"
+    return SurveyedBody(
+        name, Pose(position, quaternion), seen, deviation, yaw, tilt, spread, problem
+    )
+
+
+def write_track(path: str | Path, report: SurveyReport, level: str = "") -> None:
+    """Write the measured track as JSON; raises InputError if the survey was refused."""
+    report.track()
+    bodies = {
+        b.name: {
+            "position": b.pose.position.tolist(),
+            "quaternion": b.pose.quaternion.tolist(),
+            "frames": b.seen,
+            "spread": b.spread,
+            "deviation": b.deviation,
+            "yaw_deviation": b.yaw_deviation,
+        }
+        for b in report.bodies
+        if b.pose is not None
+    }
+    document = {"format": FORMAT, "version": VERSION, "level": level, "bodies": bodies}
+    Path(path).write_text(json.dumps(document, indent=2) + "\n")
+
+
+def read_track(path: str | Path) -> dict[str, Pose]:
+    """Read a measured track; raises InputError naming file and field."""
+    path = Path(path)
+    try:
+        document = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not a measured track: {error}") from None
+    if not isinstance(document, dict) or (document.get("format"), document.get("version")) != (
+        FORMAT,
+        VERSION,
+    ):
+        raise InputError(f"{path}: field format: need {FORMAT} version {VERSION}")
+    poses = {}
+    for name, body in document.get("bodies", {}).items():
+        try:
+            position = np.array(body["position"], dtype=float)
+            quaternion = np.array(body["quaternion"], dtype=float)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{path}: body {name}: {error}") from None
+        good = position.shape == (3,) and quaternion.shape == (4,)
+        good = good and bool(np.isfinite([*position, *quaternion]).all())
+        if not good or abs(float(np.linalg.norm(quaternion)) - 1.0) > 1e-6:
+            raise InputError(
+                f"{path}: body {name}: need position (3,) and unit quaternion x, y, z, w"
+            )
+        poses[name] = Pose(position, quaternion)
+    return poses
