@@ -63,7 +63,7 @@ class ParamService:
 
     def boot(self) -> None:
         """Take every value from the table, or from storage where there is one."""
-        self._values = [self.stored.get(entry.name, entry.default) for entry in self.entries]
+        self._values = [self.stored.get(entry.name, entry.boot) for entry in self.entries]
         for entry, value in zip(self.entries, self._values, strict=True):
             self._live.set_param(entry.name, value)
 

@@ -71,13 +71,14 @@ PARAM_TYPES = {ctype.param: ctype for ctype in _TYPES}
 @dataclass(frozen=True, slots=True)
 class ParamEntry:
     """A parameter: full name, type, access, whether it can be stored and belongs to the stable
-    core, value after boot."""
+    core; value after boot, and the default, which the firmware may replace while it boots."""
 
     name: str
     ctype: CType
     read_only: bool
     persistent: bool
     core: bool
+    boot: float
     default: float
 
     @property
@@ -144,13 +145,21 @@ def protocol_version() -> int:
 @cache
 def param_entries() -> tuple[ParamEntry, ...]:
     """Every parameter, its id being its position."""
-    return tuple(
-        ParamEntry(name, TYPES[ctype], "ro" in flags, "persistent" in flags, "core" in flags, boot)
-        for name, ctype, flags, boot in (
-            (name, ctype, attributes.split(), boot)
-            for name, ctype, attributes, boot in _table()["params"]
+    entries = []
+    for name, ctype, attributes, boot, *default in _table()["params"]:
+        flags = attributes.split()
+        entries.append(
+            ParamEntry(
+                name,
+                TYPES[ctype],
+                "ro" in flags,
+                "persistent" in flags,
+                "core" in flags,
+                boot,
+                default[0] if default else boot,
+            )
         )
-    )
+    return tuple(entries)
 
 
 @cache
