@@ -33,6 +33,8 @@ class ReplaySource:
         than 1 the intervals between stamps stay those of the recording, so estimates do too;
         rebasing then only makes sense on a virtual clock or at ``speed=1``.
 
+    A log that is damaged further on ends there, with the reason in ``status.error``.
+
     Raises
     ------
     InputError: unreadable file, or a speed that is not positive.
@@ -46,6 +48,7 @@ class ReplaySource:
         self._clock = clock
         self._speed = speed
         self._log: Iterator[PoseFrame] = iter(read_pose_log(path))
+        self._error: str | None = None
         self._next = next(self._log, None)
         first = 0.0 if self._next is None else self._next.received
         self._first = first
@@ -59,6 +62,14 @@ class ReplaySource:
         if math.isinf(self._speed):
             return self._start
         return self._start + (self._next.received - self._first) / self._speed
+
+    def _advance(self) -> None:
+        try:
+            self._next = next(self._log, None)
+        except InputError as error:
+            # A crash cuts files short; what stands before the cut is still worth having.
+            self._next = None
+            self._error = str(error)
 
     def frames(self, timeout: float = 0.0) -> list[PoseFrame]:
         give_up = self._clock.now() + timeout
@@ -75,7 +86,7 @@ class ReplaySource:
                         received=frame.received + self._shift,
                     )
                 taken.append(frame)
-                self._next = next(self._log, None)
+                self._advance()
             elif taken or now >= give_up or isinstance(self._clock, VirtualClock):
                 break
             else:
@@ -89,7 +100,7 @@ class ReplaySource:
             state = SourceState.CLOSED
         else:
             state = SourceState.ENDED if self._next is None else SourceState.LIVE
-        return SourceStatus(state, frames=self._delivered)
+        return SourceStatus(state, frames=self._delivered, error=self._error)
 
     def close(self) -> None:
         self._closed.set()
