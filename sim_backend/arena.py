@@ -284,12 +284,8 @@ class ArenaFleet:
             advance_fleet(0, n, *arguments)
         else:
             edges = [n * k // self._threads for k in range(self._threads + 1)]
-            jobs = [
-                self._pool.submit(advance_fleet, first, last, *arguments)
-                for first, last in pairwise(edges)
-            ]
-            for job in jobs:
-                job.result()
+            for _ in self._pool.map(lambda span: advance_fleet(*span, *arguments), pairwise(edges)):
+                pass
         self.tick += ticks
 
     # What a vehicle receives
@@ -324,10 +320,10 @@ class ArenaFleet:
         that avoid collisions also note the positions of the others."""
         for vehicle, pose in poses.items():
             self.external_pose(vehicle, pose, latency)
-        for vehicle in np.flatnonzero(self.params[:, _PARAM_INDEX["colAv.enable"]]):
+        for avoiding in np.flatnonzero(self.params[:, _PARAM_INDEX["colAv.enable"]]):
             for peer, pose in poses.items():
-                if peer != vehicle:
-                    self.peer_position(int(vehicle), self.ids[peer], pose.position)
+                if peer != avoiding:
+                    self.peer_position(int(avoiding), self.ids[peer], pose.position)
 
     def peer_position(self, vehicle: int, peer_id: int, position: ArrayLike) -> None:
         """Let a vehicle hear of a peer's position (3,) m."""

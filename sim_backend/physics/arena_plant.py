@@ -1,12 +1,9 @@
 """The plant of the ``arena`` profile: a Crazyflie 2.1 with its battery and brushed motors.
 
 A motor's steady thrust follows its voltage by the same cubic that the 2026 firmware inverts to
-compensate the battery; its speed (the root of its thrust) follows with a first-order lag.
-Rotor drag is linear in the body-frame velocity (Foerster, "System identification of the
-Crazyflie 2.0 nano quadrocopter", ETH Zurich 2015, also the inertia). The battery sags with its
-inner resistance and empties along a line with a knee.
-
-Rows begin like those of the competition plant, so that contacts and traces work on both.
+compensate the battery; its speed (the root of its thrust) follows with a first-order lag. The
+battery sags with its inner resistance and empties along a line with a knee. The rest is the
+rigid body of ``rigid_body.py``, whose rows these rows extend.
 """
 
 from __future__ import annotations
@@ -15,22 +12,15 @@ import math
 
 import numpy as np
 
-from crazyarena.sim_backend.firmware.power import (
-    ARM_LENGTH,
-    FULL_SCALE,
-    THRUST_TO_TORQUE,
-)
+from crazyarena.sim_backend.firmware.power import FULL_SCALE
 from crazyarena.sim_backend.jit import kernel
-from crazyarena.sim_backend.physics.competition_step import (
-    B_OMEGA,
-    B_QUAT,
-    B_VEL,
-    BODY_SIZE,
-    P_INERTIA,
-    P_MASS,
-    PLANT_SIZE,
+from crazyarena.sim_backend.physics.competition_step import B_QUAT, B_VEL, BODY_SIZE
+from crazyarena.sim_backend.physics.rigid_body import (
+    FULL_PLANT_SIZE,
+    P_DRAG,
+    arena_plant,
+    step,
 )
-from crazyarena.sim_backend.physics.contact import advance_pose
 
 GRAVITY = 9.81
 
@@ -41,15 +31,15 @@ AB_CHARGE = BODY_SIZE + 7  # A s drawn from the battery so far
 AB_VOLTS = BODY_SIZE + 8  # V, at the terminals
 ARENA_BODY_SIZE = BODY_SIZE + 9
 
-# Plant row, after the competition plant's.
-AP_DRAG = PLANT_SIZE  # kg/s, body x, y, z
-AP_LAG = PLANT_SIZE + 3  # s, time constant of the rotor speed
-AP_STRENGTH = PLANT_SIZE + 4  # thrust of M1..M4 relative to the nominal one
-AP_CAPACITY = PLANT_SIZE + 8  # A s
-AP_RESISTANCE = PLANT_SIZE + 9  # Ohm
-AP_CURRENT = PLANT_SIZE + 10  # A per N^1.5 of thrust
-AP_IDLE_CURRENT = PLANT_SIZE + 11  # A
-ARENA_PLANT_SIZE = PLANT_SIZE + 12
+# Plant row, after the rigid body's.
+AP_DRAG = P_DRAG  # kg/s, body x, y, z
+AP_LAG = FULL_PLANT_SIZE  # s, time constant of the rotor speed
+AP_STRENGTH = FULL_PLANT_SIZE + 1  # thrust of M1..M4 relative to the nominal one
+AP_CAPACITY = FULL_PLANT_SIZE + 5  # A s
+AP_RESISTANCE = FULL_PLANT_SIZE + 6  # Ohm
+AP_CURRENT = FULL_PLANT_SIZE + 7  # A per N^1.5 of thrust
+AP_IDLE_CURRENT = FULL_PLANT_SIZE + 8  # A
+ARENA_PLANT_SIZE = FULL_PLANT_SIZE + 9
 
 # Steady thrust (N) of one motor over its voltage, ascending powers: what 2.1+ propellers do, and
 # what the firmware's compensation assumes; AP_STRENGTH sets them apart.
@@ -62,9 +52,7 @@ _KNEE = 0.85  # share of the charge drawn at the knee
 def default_plant() -> np.ndarray:
     """Plant row of a Crazyflie 2.1 with markers, 31.9 g, and a fresh 250 mAh battery."""
     plant = np.zeros(ARENA_PLANT_SIZE)
-    plant[P_MASS] = 0.0319
-    plant[P_INERTIA : P_INERTIA + 3] = 16.57e-6, 16.66e-6, 29.26e-6
-    plant[AP_DRAG : AP_DRAG + 3] = 0.0065, 0.0065, 0.0073
+    plant[:FULL_PLANT_SIZE] = arena_plant()
     plant[AP_LAG] = 0.03
     plant[AP_STRENGTH : AP_STRENGTH + 4] = 1.0
     plant[AP_CAPACITY] = 0.25 * 3600.0
@@ -117,28 +105,7 @@ def arena_step(body, plant, motors, fx, fy, fz, dt):
     f2 = body[AB_ROTOR + 1] * body[AB_ROTOR + 1]
     f3 = body[AB_ROTOR + 2] * body[AB_ROTOR + 2]
     f4 = body[AB_ROTOR + 3] * body[AB_ROTOR + 3]
-    torque_x = ARM_LENGTH * (f3 + f4 - f1 - f2)
-    torque_y = ARM_LENGTH * (f2 + f3 - f1 - f4)
-    torque_z = THRUST_TO_TORQUE * (f2 + f4 - f1 - f3)
-    jx, jy, jz = plant[P_INERTIA], plant[P_INERTIA + 1], plant[P_INERTIA + 2]
-    p, q, r = body[B_OMEGA], body[B_OMEGA + 1], body[B_OMEGA + 2]
-    body[B_OMEGA] += dt * (torque_x - (jz - jy) * q * r) / jx
-    body[B_OMEGA + 1] += dt * (torque_y - (jx - jz) * r * p) / jy
-    body[B_OMEGA + 2] += dt * (torque_z - (jy - jx) * p * q) / jz
-
-    x, y, z, w = body[B_QUAT], body[B_QUAT + 1], body[B_QUAT + 2], body[B_QUAT + 3]
-    r00, r01, r02 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
-    r10, r11, r12 = 2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)
-    r20, r21, r22 = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
-    vx, vy, vz = body[B_VEL], body[B_VEL + 1], body[B_VEL + 2]
-    bx = -plant[AP_DRAG] * (r00 * vx + r10 * vy + r20 * vz)
-    by = -plant[AP_DRAG + 1] * (r01 * vx + r11 * vy + r21 * vz)
-    bz = f1 + f2 + f3 + f4 - plant[AP_DRAG + 2] * (r02 * vx + r12 * vy + r22 * vz)
-    scale = dt / plant[P_MASS]
-    body[B_VEL] += scale * (fx + r00 * bx + r01 * by + r02 * bz)
-    body[B_VEL + 1] += scale * (fy + r10 * bx + r11 * by + r12 * bz)
-    body[B_VEL + 2] += scale * (fz + r20 * bx + r21 * by + r22 * bz) - dt * GRAVITY
-    advance_pose(body, dt)
+    step(body, plant, f4, f3, f2, f1, fx, fy, fz, 0.0, 0.0, 0.0, dt)
 
 
 @kernel(_nrt=False)
