@@ -1,0 +1,41 @@
+"""Real Crazyflies, and virtual ones that look like them, through cflib.
+
+:class:`RadioBackend` is the backend; the modules behind it, from the wire up: ``packets``
+(layouts), ``outbox`` (traffic classes and hand-over rules), ``client`` and ``link`` (one
+vehicle), ``telemetry``, ``preflight``, ``events``.
+"""
+
+from crazyarena.crazyswarm_compat.radio.backend import RadioBackend, open_radio
+from crazyarena.crazyswarm_compat.radio.events import (
+    CommandLost,
+    CommandRefused,
+    LinkEvent,
+    LinkLost,
+    LinkUp,
+    StreamEnded,
+    TrajectoryUploaded,
+)
+from crazyarena.crazyswarm_compat.radio.link import LinkStatistics
+from crazyarena.crazyswarm_compat.radio.options import RadioOptions
+from crazyarena.crazyswarm_compat.radio.outbox import Lane, LaneStatistics, OutboxOptions
+from crazyarena.crazyswarm_compat.radio.preflight import Preparation
+from crazyarena.crazyswarm_compat.radio.telemetry import SupervisorState
+
+__all__ = [
+    "CommandLost",
+    "CommandRefused",
+    "Lane",
+    "LaneStatistics",
+    "LinkEvent",
+    "LinkLost",
+    "LinkStatistics",
+    "LinkUp",
+    "OutboxOptions",
+    "Preparation",
+    "RadioBackend",
+    "RadioOptions",
+    "StreamEnded",
+    "SupervisorState",
+    "TrajectoryUploaded",
+    "open_radio",
+]

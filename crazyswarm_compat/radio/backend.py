@@ -1,0 +1,409 @@
+"""Crazyflies over radio, USB or UDP, behind the one interface of all backends."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from crazyarena.clock import Clock, VirtualClock
+from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.crazyswarm_compat.checks import check
+from crazyarena.crazyswarm_compat.config import FleetConfig
+from crazyarena.crazyswarm_compat.radio import packets as pk
+from crazyarena.crazyswarm_compat.radio.budget import Budget
+from crazyarena.crazyswarm_compat.radio.client import init_drivers
+from crazyarena.crazyswarm_compat.radio.events import EventLog, LinkEvent
+from crazyarena.crazyswarm_compat.radio.link import LinkStatistics, VehicleLink
+from crazyarena.crazyswarm_compat.radio.options import RadioOptions
+from crazyarena.crazyswarm_compat.radio.preflight import Preparation, prepare_vehicle
+from crazyarena.crazyswarm_compat.radio.telemetry import SupervisorState
+from crazyarena.errors import BackendError, CommandError, InputError
+from crazyarena.types import Pose, Telemetry, Vector
+
+_LOG = logging.getLogger(__name__)
+_MONITOR_PERIOD = 0.05  # s
+
+
+class RadioBackend:
+    """Every vehicle of a fleet over its ``uri``, connected when this returns.
+
+    Parameters
+    ----------
+    fleet: vehicles with a link each, as ``radio://0/80/2M/E7E7E7E701`` or
+        ``udp://127.0.0.1:19850``; whatever cflib opens.
+    clock: a wall clock; the backend does not run on simulated time.
+    options: see :class:`.options.RadioOptions`.
+
+    Raises
+    ------
+    InputError
+        if a vehicle has no link, or two have the same.
+    BackendError
+        if a vehicle does not answer; the message names each of them.
+    """
+
+    def __init__(
+        self, fleet: FleetConfig, clock: Clock, options: RadioOptions | None = None
+    ) -> None:
+        if isinstance(clock, VirtualClock):
+            raise InputError("the radio backend needs a wall clock, not a simulated one")
+        _check_uris(fleet)
+        init_drivers()
+        self.clock = clock
+        self.options = options or RadioOptions()
+        self.fleet = fleet
+        self._events = EventLog()
+        self._watchdog_lock = threading.Lock()
+        self._watchdog: dict[int, float] = {}  # vehicles that are fed, and when by ourselves
+        self._watchdog_period = math.inf
+        self._closed = False
+        self._connecting: set[int] = set()
+        self._retry_at: dict[int, float] = {}
+        budgets: dict[str, Budget] = {}
+        self._links = {
+            config.id: VehicleLink(
+                config,
+                clock,
+                self.options,
+                budgets.setdefault(radio, self._budget(radio)),
+                self._events,
+            )
+            for config in fleet.vehicles
+            for radio in (_radio_of(str(config.uri)),)
+        }
+        try:
+            self._connect_all()
+        except BaseException:
+            self.close()
+            raise
+        self._monitor = threading.Thread(target=self._watch, name="radio-monitor", daemon=True)
+        self._monitor.start()
+
+    def _budget(self, radio: str) -> Budget:
+        if not radio.startswith("radio://"):
+            return Budget()
+        rate = self.options.packets_per_second
+        return Budget(rate, max(1.0, 0.04 * rate))
+
+    def _connect_all(self) -> None:
+        links = list(self._links.values())
+        deadline = self.clock.now() + self.options.connect_timeout
+        failures: list[str] = []
+
+        def connect(link: VehicleLink) -> None:
+            try:
+                link.connect(max(1.0, deadline - self.clock.now()))
+            except BackendError as error:
+                failures.append(str(error))
+
+        cache = self.options.cache
+        if cache is not None and not (cache.is_dir() and any(cache.glob("*.json"))):
+            # The first one fills the cache for the others.
+            connect(links.pop(0))
+        if links:
+            with ThreadPoolExecutor(len(links), thread_name_prefix="connect") as pool:
+                list(pool.map(connect, links))
+        if failures:
+            raise BackendError("; ".join(failures))
+
+    # Backend
+
+    @property
+    def vehicles(self) -> Sequence[int]:
+        """Ids in the order of the fleet."""
+        return tuple(self._links)
+
+    def send(self, command: c.Command, vehicle: int | None = None) -> None:
+        """Put a command on its way; returns at once, whatever the link does.
+
+        Raises
+        ------
+        CommandError
+            if no vehicle could execute it: not finite, or beyond the packet's range.
+        BackendError
+            for a vehicle or a parameter that does not exist.
+        """
+        if vehicle is None:
+            check(command, "all vehicles")
+            for link in self._links.values():
+                link.send(command)
+        else:
+            link = self._link(vehicle)
+            check(command, link.name)
+            link.send(command)
+
+    def send_external_poses(self, poses: Mapping[int, Pose]) -> None:
+        """Forward measured poses by vehicle id: the newest wins, at most
+        ``options.outbox.extpose_rate`` per vehicle; unknown ids are only told to vehicles that
+        avoid collisions. A pose whose quaternion is not finite goes as a position."""
+        now = self.clock.now()
+        for ident, link in self._links.items():
+            pose = poses.get(ident)
+            outgoing: tuple[pk.Packet, ...] = ()
+            if pose is not None:
+                link.last_pose = (now, pose)
+                outgoing = self._own_pose(ident, pose)
+            if link.hears_peers:
+                outgoing += pk.packed_positions(
+                    [(peer, other.position) for peer, other in poses.items() if peer != ident]
+                )
+            if outgoing:
+                link.outbox.extpose(outgoing, now)
+
+    def _own_pose(self, ident: int, pose: Pose) -> tuple[pk.Packet, ...]:
+        if self.options.poses == "packed":
+            packed = pk.packed_poses([(ident, pose)])
+            if packed:
+                return packed
+        packet = pk.external_pose(pose)
+        return () if packet is None else (packet,)
+
+    def send_external_positions(self, positions: Mapping[int, Vector]) -> None:
+        """Forward measured positions (3,) m by vehicle id, where no attitude was measured."""
+        unknown = np.full(4, math.nan)
+        self.send_external_poses({k: Pose(p, unknown) for k, p in positions.items()})
+
+    def telemetry(self, vehicle: int) -> Telemetry:
+        """Last known health, without waiting; link quality of links that have no measure of
+        their own is the share of echoes that came back."""
+        link = self._link(vehicle)
+        latest = link.telemetry.latest
+        if latest.link_quality is None:
+            loss = link.pings.summary()[0]
+            if loss is not None:
+                return Telemetry(
+                    latest.timestamp,
+                    latest.battery,
+                    1.0 - loss,
+                    latest.rssi,
+                    latest.supervisor,
+                    latest.state,
+                )
+        return latest
+
+    def get_param(self, vehicle: int, name: str) -> float:
+        """Value of ``group.name``, after writes under way are acknowledged (blocks for those).
+
+        Raises
+        ------
+        BackendError
+            if the firmware has no such parameter, or does not answer.
+        """
+        return self._link(vehicle).get_param(name)
+
+    def close(self) -> None:
+        """Release the links; idempotent. Nothing is sent: a vehicle that flies a high-level
+        command goes on flying it, one that followed a stream is stopped by its firmware."""
+        if self._closed:
+            return
+        self._closed = True
+        with ThreadPoolExecutor(len(self._links), thread_name_prefix="close") as pool:
+            list(pool.map(VehicleLink.close, self._links.values()))
+        self._events.close()
+
+    # Beyond the common interface
+
+    def set_param(self, vehicle: int, name: str, value: float) -> None:
+        """Write ``group.name`` and read it back (blocks).
+
+        Raises
+        ------
+        BackendError
+            if there is none, it is not acknowledged in time, or it reads back differently.
+        CommandError
+            if it is read-only or the value does not fit its type.
+        """
+        self._link(vehicle).set_param(name, value)
+
+    def upload_trajectory(
+        self, vehicle: int, trajectory_id: int, piece_offset: int, pieces: ArrayLike
+    ) -> None:
+        """Store pieces (n, 33) as a trajectory and wait until the vehicle has acknowledged all
+        of it; :meth:`send` does the same in the background.
+
+        Raises
+        ------
+        BackendError
+            if it is refused or not acknowledged within ``options.upload_timeout``.
+        CommandError
+            for pieces that do not fit.
+        """
+        link = self._link(vehicle)
+        rows = np.asarray(pieces, dtype=np.float64)
+        check(c.UploadTrajectory(trajectory_id, piece_offset, rows), link.name)
+        link.upload(int(trajectory_id), int(piece_offset), rows)
+
+    def prepare(
+        self, preparation: Preparation | None = None, vehicles: Sequence[int] | None = None
+    ) -> None:
+        """Make vehicles ready for take-off, all at once (blocks): estimator and controller
+        selected and read back, estimator reset and converged, battery, arming.
+
+        External poses must be coming in meanwhile, from another thread.
+
+        Raises
+        ------
+        BackendError
+            naming each vehicle that is not ready, with what was found and what to do.
+        """
+        chosen = [self._link(ident) for ident in (self.vehicles if vehicles is None else vehicles)]
+        wanted = preparation or Preparation()
+        failures: list[str] = []
+
+        def one(link: VehicleLink) -> None:
+            try:
+                prepare_vehicle(link, wanted, self.clock)
+            except (BackendError, CommandError) as error:
+                failures.append(str(error))
+
+        with ThreadPoolExecutor(max(1, len(chosen)), thread_name_prefix="prepare") as pool:
+            list(pool.map(one, chosen))
+        if failures:
+            raise BackendError("; ".join(failures))
+
+    def arm_watchdog(self, vehicle: int | None = None, feed_period: float | None = None) -> None:
+        """Start the onboard emergency-stop watchdog: from now on it must be fed at least once a
+        second, or the motors stop and the vehicle is locked until reboot. It cannot be disarmed.
+
+        ``feed_period`` s lets the backend feed it, which guards against a dead link or process
+        but not against a program that hangs; without it call :meth:`feed_watchdog`.
+        """
+        with self._watchdog_lock:
+            if feed_period is not None:
+                if not 0 < feed_period <= 0.5:
+                    raise InputError(f"feed_period is {feed_period}; it must be 0 to 0.5 s")
+                self._watchdog_period = feed_period
+            for ident in self.vehicles if vehicle is None else (vehicle,):
+                self._link(ident).feed_watchdog()
+                self._watchdog[ident] = self.clock.now()
+
+    def feed_watchdog(self) -> None:
+        """Feed the watchdogs that were armed; returns at once."""
+        for ident in tuple(self._watchdog):
+            self._links[ident].feed_watchdog()
+
+    def recover(self, vehicle: int) -> None:
+        """Ask a crashed vehicle to recover; see ``supervisor(vehicle).crashed`` for success."""
+        self._link(vehicle).recover()
+
+    def supervisor(self, vehicle: int) -> SupervisorState | None:
+        """Supervisor state by name, None before it is known."""
+        bits = self._link(vehicle).telemetry.latest.supervisor
+        return None if bits is None else SupervisorState.from_bits(bits)
+
+    def connected(self, vehicle: int) -> bool:
+        """Whether the vehicle was heard within ``options.link_timeout``."""
+        return self._link(vehicle).connected
+
+    def statistics(self, vehicle: int) -> LinkStatistics:
+        """Traffic by class and quality of the link."""
+        return self._link(vehicle).statistics()
+
+    def subscribe(self, listener: Callable[[LinkEvent], None]) -> Callable[[], None]:
+        """Call ``listener(event)`` from a thread of the backend for every event; returns a
+        function that unsubscribes."""
+        return self._events.subscribe(listener)
+
+    def take_events(self) -> list[LinkEvent]:
+        """Events since the last call, oldest first."""
+        return self._events.take()
+
+    # Supervision
+
+    def _link(self, vehicle: int) -> VehicleLink:
+        try:
+            return self._links[vehicle]
+        except KeyError:
+            known = ", ".join(map(str, self._links))
+            raise BackendError(f"no vehicle with id {vehicle!r}; the fleet has {known}") from None
+
+    def _watch(self) -> None:
+        due = self.clock.now()
+        while not self._closed:
+            # A stall is not made up for.
+            due = max(due + _MONITOR_PERIOD, self.clock.now())
+            self.clock.sleep_until(due)
+            now = self.clock.now()
+            for link in self._links.values():
+                link.check_silence(now)
+                link.note_supervisor()
+                self._maybe_reconnect(link, now)
+            self._feed_by_ourselves(now)
+
+    def _feed_by_ourselves(self, now: float) -> None:
+        with self._watchdog_lock:
+            for ident, fed in self._watchdog.items():
+                if now - fed >= self._watchdog_period:
+                    self._watchdog[ident] = now
+                    self._links[ident].feed_watchdog()
+
+    def _maybe_reconnect(self, link: VehicleLink, now: float) -> None:
+        if not self.options.reconnect or link.connected or link.id in self._connecting:
+            return
+        if not link.driver_gone and now - link.last_heard < 3.0 * self.options.link_timeout:
+            return  # it may come back by itself
+        if now < self._retry_at.get(link.id, -math.inf):
+            return
+        self._connecting.add(link.id)
+        threading.Thread(
+            target=self._reconnect, args=(link,), name=f"reconnect-{link.name}", daemon=True
+        ).start()
+
+    def _reconnect(self, link: VehicleLink) -> None:
+        try:
+            link.drop()
+            link.connect(self.options.connect_timeout)
+        except BackendError as error:
+            _LOG.info("%s", error)
+        except Exception:
+            _LOG.exception("%s: reconnecting failed", link.name)
+        finally:
+            self._retry_at[link.id] = self.clock.now() + self.options.reconnect_interval
+            self._connecting.discard(link.id)
+
+
+def _radio_of(uri: str) -> str:
+    """What air time is shared on: the dongle of a radio link, else the link itself."""
+    if uri.startswith("radio://"):
+        return "/".join(uri.split("/")[:3])
+    return uri
+
+
+def _check_uris(fleet: FleetConfig) -> None:
+    if not fleet.vehicles:
+        raise InputError(f"{fleet.source}: no vehicles")
+    seen: dict[str, str] = {}
+    for config in fleet.vehicles:
+        if not config.uri:
+            raise InputError(
+                f"{fleet.source}: {config.name}: found no link; expected a channel, or a uri such "
+                "as radio://0/80/2M/E7E7E7E701 or udp://127.0.0.1:19850"
+            )
+        if config.uri in seen:
+            raise InputError(
+                f"{fleet.source}: {config.name}: {config.uri} is already used by "
+                f"{seen[config.uri]}; give every vehicle its own link"
+            )
+        seen[config.uri] = config.name
+
+
+def open_radio(fleet: FleetConfig, clock: Clock, options: Any = None) -> RadioBackend:
+    """Backend ``radio`` of :func:`~crazyarena.crazyswarm_compat.registry.open_backend`:
+    connects, then writes the firmware parameters of the fleet's configuration."""
+    chosen = options if isinstance(options, RadioOptions) else None
+    backend = RadioBackend(fleet, clock, chosen)
+    try:
+        for config in fleet.vehicles:
+            for name, value in config.firmware_params.items():
+                backend.set_param(config.id, name, value)
+    except BaseException:
+        backend.close()
+        raise
+    return backend

@@ -1,0 +1,606 @@
+"""What waits to be sent to one vehicle, and what goes next.
+
+No thread, no socket: :meth:`Outbox.poll` is asked with the time and answers with the next
+:class:`Job`, or with the time to wait. The rules of the firmware for passing control between
+streamed setpoints and the high-level commander live here:
+
+- a high-level command that follows a stream (or a new connection, whose predecessor may have
+  streamed) has no effect until setpoints are declared over. An idle high-level commander stops
+  the motors, so the command goes first, its answer is awaited, and only then is the stream
+  declared over;
+- a stream that falls silent is levelled after 0.5 s and locked for good after 2 s: before
+  that the vehicle is handed to the high-level commander.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+from crazyarena.crazyswarm_compat.radio.budget import Budget
+from crazyarena.crazyswarm_compat.radio.packets import Packet, notify_setpoints_stop
+
+
+class Lane(IntEnum):
+    """Classes of traffic, the most urgent first."""
+
+    EMERGENCY = 0
+    WATCHDOG = 1
+    COMMAND = 2
+    SETPOINT = 3
+    EXTPOSE = 4
+    REST = 5
+
+
+# Share of a burst that a lane leaves to the more urgent ones.
+_RESERVE = {Lane.SETPOINT: 0.0, Lane.EXTPOSE: 0.25, Lane.REST: 0.5}
+
+
+@dataclass(frozen=True, slots=True)
+class LaneStatistics:
+    """Traffic of one class so far.
+
+    offered: items handed in; sent: packets that left; repeated: packets sent again because no
+    answer came; overwritten: replaced by a newer item; dropped: too old, too many, refused or
+    no link. mean_age, max_age: from hand-in to sending, s.
+    """
+
+    offered: int = 0
+    sent: int = 0
+    repeated: int = 0
+    overwritten: int = 0
+    dropped: int = 0
+    mean_age: float = 0.0
+    max_age: float = 0.0
+
+
+class LaneCounters:
+    """The numbers behind :class:`LaneStatistics`, while they grow."""
+
+    def __init__(self) -> None:
+        self.offered = 0
+        self.sent = 0
+        self.repeated = 0
+        self.overwritten = 0
+        self.dropped = 0
+        self._jobs = 0
+        self._age = 0.0
+        self._max_age = 0.0
+
+    def aged(self, age: float) -> None:
+        """Note the age of an item when it is sent."""
+        self._jobs += 1
+        self._age += age
+        self._max_age = max(self._max_age, age)
+
+    def snapshot(self) -> LaneStatistics:
+        """Numbers as of now."""
+        mean = self._age / self._jobs if self._jobs else 0.0
+        return LaneStatistics(
+            self.offered,
+            self.sent,
+            self.repeated,
+            self.overwritten,
+            self.dropped,
+            mean,
+            self._max_age,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class OutboxOptions:
+    """Limits of :class:`Outbox`; times in s, rates in Hz.
+
+    setpoint_rate, extpose_rate, rest_rate: at most so many per second; command_expiry,
+    setpoint_expiry, extpose_expiry: what waited longer is dropped; ack_timeout, ack_tries: a
+    high-level command is repeated until it is answered; emergency_repeats and _interval: an
+    emergency stop is sent so often at once, and then ten times a second until the vehicle says
+    that it is locked, for at most emergency_patience; stream_timeout: silence that ends a
+    stream, ``inf`` to leave that to the firmware; capacity of each queue.
+    """
+
+    setpoint_rate: float = 200.0
+    extpose_rate: float = 100.0
+    rest_rate: float = 100.0
+    command_expiry: float = 1.0
+    setpoint_expiry: float = 0.3
+    extpose_expiry: float = 0.2
+    ack_timeout: float = 0.06
+    ack_tries: int = 8
+    emergency_repeats: int = 15
+    emergency_interval: float = 0.01
+    emergency_patience: float = 5.0
+    stream_timeout: float = 0.4
+    capacity: int = 256
+
+
+@dataclass(slots=True)
+class Job:
+    """Something to do now: packets to send, or an action that sends by itself."""
+
+    lane: Lane
+    born: float
+    packets: tuple[Packet, ...] = ()
+    action: Callable[[], None] | None = None
+    repeated: bool = False
+
+
+@dataclass(slots=True)
+class HighLevelItem:
+    """A command to the high-level commander.
+
+    takes_over: it is to fly the vehicle, so the stream must end; done: called with the
+    vehicle's answer, or None and a reason if there was none; needs_upload: id of a trajectory
+    that must have been uploaded before.
+    """
+
+    packet: Packet
+    verb: str
+    takes_over: bool
+    done: Callable[[int | None, str], None]
+    needs_upload: int | None = None
+    expires: bool = True
+    born: float = 0.0
+    order: int = 0
+    remain_ms: int = 0
+
+
+@dataclass(slots=True)
+class _Awaiting:
+    item: HighLevelItem
+    due: float
+    tries: int
+    hand_over: bool
+
+
+@dataclass(slots=True)
+class _Setpoint:
+    packets: tuple[Packet, ...]
+    first: tuple[Packet, ...]
+    born: float
+    order: int
+
+
+_NOTIFY_REPEATS = 3
+_NOTIFY_INTERVAL = 0.02
+_EMERGENCY_SLOW = 0.1
+
+
+class Outbox:
+    """Mailboxes of one vehicle. Safe to share between threads.
+
+    Parameters
+    ----------
+    options: limits.
+    budget: air time, possibly shared with other vehicles.
+    release: called when a stream is over and no command followed, with whether it fell silent
+        and the kind of its last setpoint; returns the command that takes the vehicle over, or
+        None to let the idle high-level commander stop the motors. It is called with the lock
+        held, as are the ``done`` of commands: they must not call back.
+    """
+
+    def __init__(
+        self,
+        options: OutboxOptions,
+        budget: Budget,
+        release: Callable[[bool, object], HighLevelItem | None],
+    ) -> None:
+        self.wake = threading.Condition(threading.RLock())
+        self.counters = {lane: LaneCounters() for lane in Lane}
+        self._options = options
+        self._budget = budget
+        self._release = release
+        self._order = 0
+        self._emergency: Packet | None = None
+        self._emergency_born = 0.0
+        self._emergency_count = 0
+        self._emergency_due = math.inf
+        self._locked = False
+        self._watchdog: tuple[Packet, float] | None = None
+        self._commands: deque[HighLevelItem] = deque()
+        self._awaiting: _Awaiting | None = None
+        self._uploads: set[int] = set()
+        self._setpoint: _Setpoint | None = None
+        self._setpoint_due = 0.0
+        self._extpose: tuple[tuple[Packet, ...], float] | None = None
+        self._extpose_due = 0.0
+        self._rest: deque[Job] = deque()
+        self._rest_due = 0.0
+        self._kind: object = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what waits, as after a new connection; an emergency stop stays."""
+        with self.wake:
+            # Whoever was connected before may have streamed.
+            self._low_level = True
+            self._streaming = False
+            self._release_at = math.inf
+            self._remain_ms = 0
+            self._notify_left = 0
+            self._notify_due = math.inf
+            self._awaiting = None
+            self._setpoint = None
+            self._extpose = None
+            self._kind = None
+            self._fail_commands("the link was renewed")
+            self._drop_rest()
+            self.wake.notify_all()
+
+    # Hand in
+
+    def emergency(self, packet: Packet, now: float) -> None:
+        """Send before everything else, repeatedly; nothing that flies is sent afterwards."""
+        with self.wake:
+            counters = self.counters[Lane.EMERGENCY]
+            counters.offered += 1
+            self._emergency = packet
+            self._emergency_born = now
+            self._emergency_count = 0
+            self._emergency_due = now
+            self._locked = True
+            self._stop_flying("emergency stop")
+            self.wake.notify_all()
+
+    def emergency_confirmed(self) -> None:
+        """The vehicle says that it is locked: stop repeating, once the first burst is over."""
+        with self.wake:
+            if self._emergency_count >= self._options.emergency_repeats:
+                self._emergency_due = math.inf
+
+    @property
+    def locked(self) -> bool:
+        """Whether an emergency stop was sent; flight commands are dropped since."""
+        return self._locked
+
+    def unlock(self) -> None:
+        """Forget an emergency stop: the vehicle was rebooted."""
+        with self.wake:
+            self._locked = False
+            self._emergency_due = math.inf
+
+    def feed_watchdog(self, packet: Packet, now: float) -> None:
+        """Send with priority; newest wins."""
+        with self.wake:
+            counters = self.counters[Lane.WATCHDOG]
+            counters.offered += 1
+            counters.overwritten += self._watchdog is not None
+            self._watchdog = (packet, now)
+            self.wake.notify_all()
+
+    def setpoint(self, packets: tuple[Packet, ...], kind: object, now: float) -> None:
+        """Stream a setpoint; newest wins. All but the last packet are only sent when the kind
+        of setpoint changes."""
+        with self.wake:
+            counters = self.counters[Lane.SETPOINT]
+            counters.offered += 1
+            if self._locked:
+                counters.dropped += 1
+                return
+            counters.overwritten += self._setpoint is not None
+            first = packets[:-1] if kind != self._kind else ()
+            self._kind = kind
+            self._setpoint = _Setpoint(packets[-1:], first, now, self._next_order())
+            self.wake.notify_all()
+
+    def command(self, item: HighLevelItem, now: float) -> None:
+        """Queue a command to the high-level commander; in order, also with the setpoints."""
+        with self.wake:
+            counters = self.counters[Lane.COMMAND]
+            counters.offered += 1
+            if self._locked or len(self._commands) >= self._options.capacity:
+                counters.dropped += 1
+                reason = "emergency stop" if self._locked else "too many commands wait"
+                item.done(None, reason)
+                return
+            item.born, item.order = now, self._next_order()
+            if item.takes_over:
+                item.remain_ms, self._remain_ms = self._remain_ms, 0
+                self._release_at = math.inf
+                self._drop_waiting_starts()
+            self._commands.append(item)
+            self.wake.notify_all()
+
+    def setpoints_over(self, remain_ms: int, now: float) -> None:
+        """The script says that its stream is over. A command is expected to follow; without
+        one the vehicle is released when ``remain_ms`` have passed (at least 0.1 s)."""
+        with self.wake:
+            if not self._low_level and self._setpoint is None:
+                return  # the high-level commander is in charge already
+            self._remain_ms = remain_ms
+            self._streaming = False
+            self._release_at = now + min(max(0.1, 1e-3 * remain_ms), self._options.stream_timeout)
+            self.wake.notify_all()
+
+    def extpose(self, packets: tuple[Packet, ...], now: float) -> None:
+        """Send measured poses; newest wins."""
+        with self.wake:
+            counters = self.counters[Lane.EXTPOSE]
+            counters.offered += 1
+            counters.overwritten += self._extpose is not None
+            self._extpose = (packets, now)
+            self.wake.notify_all()
+
+    def rest(
+        self, now: float, packets: tuple[Packet, ...] = (), action: Callable[[], None] | None = None
+    ) -> bool:
+        """Queue something that is not urgent; False if the queue is full."""
+        with self.wake:
+            counters = self.counters[Lane.REST]
+            counters.offered += 1
+            if len(self._rest) >= self._options.capacity:
+                counters.dropped += 1
+                return False
+            self._rest.append(Job(Lane.REST, now, packets, action))
+            self.wake.notify_all()
+            return True
+
+    def upload_begins(self, trajectory: int) -> None:
+        """A trajectory is being uploaded: starts of it wait."""
+        with self.wake:
+            self._uploads.add(trajectory)
+
+    def upload_ends(self, trajectory: int) -> None:
+        """The upload is done, or has failed."""
+        with self.wake:
+            self._uploads.discard(trajectory)
+            self.wake.notify_all()
+
+    def answer(self, command: int, code: int, now: float) -> None:
+        """The vehicle answered the high-level command whose first byte is ``command``."""
+        with self.wake:
+            awaiting = self._awaiting
+            if awaiting is None or awaiting.item.packet.data[0] != command:
+                return
+            self._awaiting = None
+            if awaiting.hand_over and code == 0:
+                self._notify(now, awaiting.item.remain_ms)
+            awaiting.item.done(code, "")
+            self.wake.notify_all()
+
+    # Take out
+
+    def sent(self, job: Job, ok: bool) -> None:
+        """Account for a job: its packets left, or there was no link."""
+        with self.wake:
+            counters = self.counters[job.lane]
+            if ok:
+                counters.sent += len(job.packets) or 1
+                counters.repeated += job.repeated
+                return
+            counters.dropped += not job.repeated
+            if job.lane is Lane.EMERGENCY:
+                # It is not given up for want of a link.
+                self._emergency_count = max(0, self._emergency_count - 1)
+                if math.isinf(self._emergency_due):
+                    self._emergency_due = 0.0
+
+    def poll(self, now: float) -> Job | float:
+        """Next job, or seconds to wait for one (until somebody hands something in)."""
+        with self.wake:
+            for take in (
+                self._poll_emergency,
+                self._poll_watchdog,
+                self._poll_notify,
+                self._poll_commands,
+                self._poll_setpoint,
+                self._poll_extpose,
+                self._poll_rest,
+            ):
+                job = take(now)
+                if job is not None:
+                    if not job.repeated:
+                        self.counters[job.lane].aged(now - job.born)
+                    return job
+            return self._wait(now)
+
+    def _poll_emergency(self, now: float) -> Job | None:
+        if now < self._emergency_due or self._emergency is None:
+            return None
+        options = self._options
+        self._emergency_count += 1
+        burst = self._emergency_count < options.emergency_repeats
+        self._emergency_due = now + (options.emergency_interval if burst else _EMERGENCY_SLOW)
+        slow = self._emergency_count - options.emergency_repeats
+        if slow * _EMERGENCY_SLOW > options.emergency_patience:
+            self._emergency_due = math.inf
+        first = self._emergency_count == 1
+        return Job(
+            Lane.EMERGENCY, self._emergency_born, (self._emergency,), None, repeated=not first
+        )
+
+    def _poll_watchdog(self, now: float) -> Job | None:
+        if self._watchdog is None:
+            return None
+        (packet, born), self._watchdog = self._watchdog, None
+        return Job(Lane.WATCHDOG, born, (packet,))
+
+    def _poll_notify(self, now: float) -> Job | None:
+        if not self._notify_left or now < self._notify_due:
+            return None
+        # Unanswered, so it is repeated; a vehicle that is released already takes no notice.
+        self._notify_left -= 1
+        self._notify_due = now + _NOTIFY_INTERVAL if self._notify_left else math.inf
+        first = self._notify_left == _NOTIFY_REPEATS - 1
+        packet = notify_setpoints_stop(self._notify_ms)
+        return Job(Lane.COMMAND, self._notify_born, (packet,), repeated=not first)
+
+    def _poll_commands(self, now: float) -> Job | None:
+        counters = self.counters[Lane.COMMAND]
+        awaiting = self._awaiting
+        if awaiting is not None:
+            if now < awaiting.due:
+                return None
+            if awaiting.tries < self._options.ack_tries:
+                awaiting.tries += 1
+                awaiting.due = now + self._options.ack_timeout
+                return Job(Lane.COMMAND, awaiting.item.born, (awaiting.item.packet,), repeated=True)
+            self._awaiting = None
+            counters.dropped += 1
+            awaiting.item.done(None, f"not answered after {awaiting.tries} tries")
+        while self._commands and self._commands[0].expires:
+            item = self._commands[0]
+            waits = item.needs_upload is not None and item.needs_upload in self._uploads
+            if waits or now - item.born <= self._options.command_expiry:
+                break
+            self._commands.popleft()
+            counters.dropped += 1
+            item.done(None, f"could not be sent within {self._options.command_expiry:g} s")
+        if not self._commands and now >= self._release_at:
+            self._end_stream(now)
+        if not self._commands:
+            return None
+        item = self._commands[0]
+        if item.needs_upload is not None and item.needs_upload in self._uploads:
+            return None
+        setpoint = self._setpoint
+        if setpoint is not None and setpoint.order < item.order:
+            if not item.takes_over:
+                return None
+            # The command ends the stream, so the setpoint before it would change nothing.
+            self._setpoint = None
+            self.counters[Lane.SETPOINT].overwritten += 1
+        self._commands.popleft()
+        if item.takes_over:
+            self._streaming = False
+            self._release_at = math.inf
+        hand_over = item.takes_over and self._low_level
+        self._awaiting = _Awaiting(item, now + self._options.ack_timeout, 1, hand_over)
+        return Job(Lane.COMMAND, item.born, (item.packet,))
+
+    def _poll_setpoint(self, now: float) -> Job | None:
+        setpoint = self._setpoint
+        if setpoint is None or now < self._setpoint_due:
+            return None
+        if now - setpoint.born > self._options.setpoint_expiry:
+            self._setpoint = None
+            self.counters[Lane.SETPOINT].dropped += 1
+            return None
+        if self._budget.wait(now, _RESERVE[Lane.SETPOINT]) > 0:
+            return None
+        self._setpoint = None
+        self._setpoint_due = now + 1.0 / self._options.setpoint_rate
+        self._low_level = True
+        self._streaming = True
+        self._release_at = now + self._options.stream_timeout
+        # The stream is on again: whatever wanted to end it has been overtaken.
+        self._notify_left, self._notify_due = 0, math.inf
+        if self._awaiting is not None and self._awaiting.item.takes_over:
+            self._awaiting = None
+        self._drop_overtaken(setpoint.order)
+        return Job(Lane.SETPOINT, setpoint.born, setpoint.first + setpoint.packets)
+
+    def _poll_extpose(self, now: float) -> Job | None:
+        if self._extpose is None or now < self._extpose_due:
+            return None
+        packets, born = self._extpose
+        if now - born > self._options.extpose_expiry:
+            self._extpose = None
+            self.counters[Lane.EXTPOSE].dropped += 1
+            return None
+        if self._budget.wait(now, _RESERVE[Lane.EXTPOSE]) > 0:
+            return None
+        self._extpose = None
+        period = 1.0 / self._options.extpose_rate
+        # Due times keep their raster, so that a source at just this rate is not halved.
+        self._extpose_due = max(self._extpose_due + period, now + 0.5 * period)
+        return Job(Lane.EXTPOSE, born, packets)
+
+    def _poll_rest(self, now: float) -> Job | None:
+        if not self._rest or now < self._rest_due:
+            return None
+        if self._budget.wait(now, _RESERVE[Lane.REST]) > 0:
+            return None
+        self._rest_due = now + 1.0 / self._options.rest_rate
+        return self._rest.popleft()
+
+    def _wait(self, now: float) -> float:
+        due = min(self._emergency_due, self._release_at)
+        if self._notify_left:
+            due = min(due, self._notify_due)
+        if self._awaiting is not None:
+            due = min(due, self._awaiting.due)
+        elif self._commands:
+            due = min(due, self._commands[0].born + self._options.command_expiry)
+        for waiting, at, lane in (
+            (self._setpoint, self._setpoint_due, Lane.SETPOINT),
+            (self._extpose, self._extpose_due, Lane.EXTPOSE),
+            (self._rest, self._rest_due, Lane.REST),
+        ):
+            if waiting:
+                due = min(due, max(at, now + self._budget.wait(now, _RESERVE[lane])))
+        # Never zero: a wait that is due but held back by another lane must not spin.
+        return max(due - now, 1e-3)
+
+    # Ends of streams
+
+    def _end_stream(self, now: float) -> None:
+        self._release_at = math.inf
+        silent, self._streaming = self._streaming, False
+        item = None if self._locked else self._release(silent, self._kind)
+        if item is None:
+            if self._low_level and not self._locked:
+                self._notify(now, self._remain_ms)
+            return
+        item.born, item.order = now, self._next_order()
+        self._commands.append(item)
+
+    def _notify(self, now: float, remain_ms: int) -> None:
+        self._low_level = False
+        self._streaming = False
+        self._notify_left = _NOTIFY_REPEATS
+        self._notify_born = self._notify_due = now
+        self._notify_ms = remain_ms
+
+    # Housekeeping
+
+    def _next_order(self) -> int:
+        self._order += 1
+        return self._order
+
+    def _drop_waiting_starts(self) -> None:
+        kept: deque[HighLevelItem] = deque()
+        for item in self._commands:
+            if item.needs_upload is not None and item.needs_upload in self._uploads:
+                self.counters[Lane.COMMAND].dropped += 1
+                item.done(None, "a later command came before its upload was done")
+            else:
+                kept.append(item)
+        self._commands = kept
+
+    def _drop_overtaken(self, order: int) -> None:
+        kept: deque[HighLevelItem] = deque()
+        for item in self._commands:
+            if item.takes_over and item.order < order:
+                self.counters[Lane.COMMAND].dropped += 1
+                item.done(None, "a streamed setpoint came after it")
+            else:
+                kept.append(item)
+        self._commands = kept
+
+    def _fail_commands(self, reason: str) -> None:
+        items = list(self._commands)
+        self._commands.clear()
+        if self._awaiting is not None:
+            items.insert(0, self._awaiting.item)
+            self._awaiting = None
+        for item in items:
+            self.counters[Lane.COMMAND].dropped += 1
+            item.done(None, reason)
+
+    def _drop_rest(self) -> None:
+        self.counters[Lane.REST].dropped += len(self._rest)
+        self._rest.clear()
+
+    def _stop_flying(self, reason: str) -> None:
+        if self._setpoint is not None:
+            self._setpoint = None
+            self.counters[Lane.SETPOINT].dropped += 1
+        self._release_at = math.inf
+        self._streaming = False
+        self._notify_left, self._notify_due = 0, math.inf
+        self._fail_commands(reason)

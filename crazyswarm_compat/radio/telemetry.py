@@ -1,0 +1,208 @@
+"""Log blocks of a vehicle, decoded into :class:`~crazyarena.types.Telemetry`."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from cflib.crazyflie.log import LogConfig
+from cflib.utils.encoding import decompress_quaternion
+
+from crazyarena.clock import Clock
+from crazyarena.types import Telemetry, Vector, VehicleState
+
+_LOG = logging.getLogger(__name__)
+
+# Bits of supervisor.info.
+CAN_BE_ARMED, ARMED, AUTO_ARM, CAN_FLY, FLYING, TUMBLED, LOCKED, CRASHED = (
+    1 << bit for bit in range(8)
+)
+HIGH_LEVEL_ACTIVE, TRAJECTORY_FINISHED, HIGH_LEVEL_DISABLED = (1 << bit for bit in range(8, 11))
+
+# Compressed, so that a block fits into one packet; millimetres and milliradians. cflib can
+# create blocks of up to nine variables.
+_MOTION = ("x", "y", "z", "vx", "vy", "vz", "quat")
+_RATES = ("rateRoll", "ratePitch", "rateYaw")
+_HEALTH = ("pm.vbat", "supervisor.info", "radio.rssi")
+# What firmware before the supervisor told instead.
+_OLD_FLAGS = (("sys.canfly", CAN_FLY), ("sys.isFlying", FLYING), ("sys.isTumbled", TUMBLED))
+_TICKS = 1 << 24
+
+
+@dataclass(frozen=True, slots=True)
+class SupervisorState:
+    """``supervisor.info`` by name."""
+
+    can_be_armed: bool
+    armed: bool
+    can_fly: bool
+    flying: bool
+    tumbled: bool
+    locked: bool
+    crashed: bool
+    high_level_active: bool
+    trajectory_finished: bool
+
+    @classmethod
+    def from_bits(cls, bits: int) -> SupervisorState:
+        """Split the bit field."""
+        masks = (CAN_BE_ARMED, ARMED, CAN_FLY, FLYING, TUMBLED, LOCKED, CRASHED)
+        flags = [bool(bits & mask) for mask in (*masks, HIGH_LEVEL_ACTIVE, TRAJECTORY_FINISHED)]
+        return cls(*flags)
+
+
+class Block:
+    """One running log block.
+
+    Parameters
+    ----------
+    client: a connected cflib client.
+    name, variables: of the block; all variables must be in the vehicle's table of contents.
+    period_ms: a multiple of 10, 10..2540.
+    received: called with the values by name, in cflib's thread.
+    """
+
+    def __init__(
+        self,
+        client: Any,
+        name: str,
+        variables: Sequence[str],
+        period_ms: int,
+        received: Callable[[Mapping[str, float]], None],
+    ) -> None:
+        self._config = LogConfig(name, period_ms)
+        for variable in variables:
+            self._config.add_variable(variable)
+        self._period = period_ms
+        self._received = received
+        self._last: int | None = None
+        self.packets = 0
+        self.missed = 0
+        client.log.add_config(self._config)
+        self._config.data_received_cb.add_callback(self._data)
+        self._config.error_cb.add_callback(self._error)
+        self._config.start()
+
+    def stop(self) -> None:
+        """Stop and delete the block."""
+        self._config.data_received_cb.remove_callback(self._data)
+        self._config.stop()
+        self._config.delete()
+
+    def _data(self, stamp: int, values: Mapping[str, float], _: LogConfig) -> None:
+        if self._last is not None:
+            elapsed = (stamp - self._last) % _TICKS
+            # A gap of hours is a reboot, not a loss.
+            periods = round(elapsed / self._period)
+            if 1 < periods < 10_000:
+                self.missed += periods - 1
+        self._last = stamp
+        self.packets += 1
+        self._received(values)
+
+    def _error(self, _: LogConfig, message: str) -> None:
+        _LOG.warning("log block %s: %s", self._config.name, message)
+
+
+def knows(client: Any, variable: str) -> bool:
+    """Whether the vehicle has this log variable."""
+    group, name = variable.split(".")
+    toc = client.log.toc
+    return toc is not None and toc.get_element(group, name) is not None
+
+
+class TelemetryReader:
+    """Keeps the latest word of a vehicle.
+
+    Parameters
+    ----------
+    clock: session clock.
+    state_rate, health_rate: of the two blocks, Hz; 0 for none.
+    """
+
+    def __init__(self, clock: Clock, state_rate: float, health_rate: float) -> None:
+        self._clock = clock
+        self._rates = (state_rate, health_rate)
+        self._lock = threading.Lock()
+        self._blocks: list[Block] = []
+        self._last = Telemetry(timestamp=-math.inf)
+        self._omega: Vector = np.zeros(3)
+
+    @property
+    def latest(self) -> Telemetry:
+        """Without waiting; fields that were never told are None."""
+        return self._last
+
+    def start(self, client: Any) -> None:
+        """Create the blocks on a new connection; variables that the firmware lacks are left
+        out."""
+        state_rate, health_rate = self._rates
+        self._blocks = []
+        motion = [f"stateEstimateZ.{name}" for name in _MOTION]
+        if state_rate and all(knows(client, name) for name in motion):
+            self._blocks.append(
+                Block(client, "motion", motion, _period_ms(state_rate), self._motion)
+            )
+        health = [name for name in _HEALTH if knows(client, name)]
+        if "supervisor.info" not in health:
+            health += [name for name, _ in _OLD_FLAGS if knows(client, name)]
+        health += [
+            f"stateEstimateZ.{name}" for name in _RATES if knows(client, f"stateEstimateZ.{name}")
+        ]
+        if health_rate and health:
+            self._blocks.append(
+                Block(client, "health", health, _period_ms(health_rate), self._health)
+            )
+
+    def quality(self, link_quality: float) -> None:
+        """Note the quality of the link, 0..1."""
+        self._update(link_quality=link_quality)
+
+    def packets(self) -> tuple[int, int]:
+        """Log packets received and missed on this connection."""
+        blocks = tuple(self._blocks)
+        return sum(block.packets for block in blocks), sum(block.missed for block in blocks)
+
+    def _update(self, **changes: Any) -> None:
+        with self._lock:
+            old = self._last
+            fields = ("timestamp", "battery", "link_quality", "rssi", "supervisor", "state")
+            self._last = Telemetry(**{name: getattr(old, name) for name in fields} | changes)
+
+    def _motion(self, values: Mapping[str, float]) -> None:
+        now = self._clock.now()
+        milli = [1e-3 * values[f"stateEstimateZ.{name}"] for name in _MOTION[:6]]
+        quaternion = decompress_quaternion(int(values["stateEstimateZ.quat"]))
+        state = VehicleState(
+            timestamp=now,
+            position=np.array(milli[:3]),
+            velocity=np.array(milli[3:]),
+            quaternion=np.asarray(quaternion, dtype=np.float64),
+            angular_velocity=self._omega,
+        )
+        self._update(timestamp=now, state=state)
+
+    def _health(self, values: Mapping[str, float]) -> None:
+        changes: dict[str, Any] = {"timestamp": self._clock.now()}
+        if "pm.vbat" in values:
+            changes["battery"] = float(values["pm.vbat"])
+        if "radio.rssi" in values:
+            changes["rssi"] = -float(values["radio.rssi"])
+        if "supervisor.info" in values:
+            changes["supervisor"] = int(values["supervisor.info"])
+        elif "sys.canfly" in values:
+            changes["supervisor"] = sum(mask for name, mask in _OLD_FLAGS if values.get(name))
+        if "stateEstimateZ.rateRoll" in values:
+            roll, pitch, yaw = (1e-3 * values[f"stateEstimateZ.{name}"] for name in _RATES)
+            # The firmware logs the pitch rate in its legacy sign.
+            self._omega = np.array([roll, -pitch, yaw])
+        self._update(**changes)
+
+
+def _period_ms(rate: float) -> int:
+    return min(2540, max(10, 10 * round(100.0 / rate)))
