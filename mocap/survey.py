@@ -122,6 +122,7 @@ def _measure(
     name: str, samples: list[Pose], nominal: Pose, count: int, config: SurveyConfig
 ) -> SurveyedBody:
     need = math.ceil(config.min_seen * config.frames)
+    problem: str | None = None
     if not samples:
         nan = math.nan
         problem = f"{name} was not seen in {count} frames; is its body enabled and named so?"
@@ -144,7 +145,6 @@ def _measure(
     yaw = _wrap(_yaw(quaternion) - _yaw(nominal.quaternion), period)
     x, y, _, _ = quaternion.tolist()
     tilt = math.acos(min(1.0, max(-1.0, 1.0 - 2.0 * (x * x + y * y))))
-    problem = None
     seen = int(kept.sum())
     if seen < need:
         problem = f"{name} was seen well in {seen} of {count} frames; {need} are needed"

@@ -16,12 +16,16 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from crazyarena.errors import InputError
 from crazyarena.mocap.rotations import quaternion_of, rotate
 from crazyarena.mocap.tracker_kernels import greedy_match
 from crazyarena.types import Pose, PoseFrame, Vector
+
+# Indices or flags, as numpy makes them.
+Selection = NDArray[Any]
 
 # Cost of an impossible pair: finite, because the solver refuses rows of infinities.
 _FORBIDDEN = 1e9
@@ -101,7 +105,7 @@ class _Motion:
         self.state = f @ self.state
         self.covariance = f @ self.covariance @ f.T + q
 
-    def update(self, which: Vector, measured: Vector) -> None:
+    def update(self, which: Selection, measured: Vector) -> None:
         if not len(which):
             return
         cov = self.covariance[which]
@@ -111,7 +115,7 @@ class _Motion:
         self.state[which] += gain[:, :, None] * error[:, None, :]
         self.covariance[which] = cov - gain[:, :, None] * cov[:, 0, None, :]
 
-    def hold(self, which: Vector) -> None:
+    def hold(self, which: Selection) -> None:
         """Stop points whose motion nobody knows any more."""
         self.state[which, 1:] = 0.0
 
@@ -158,7 +162,7 @@ class _TrackBook:
         away[[s is TrackState.WAITING for s in self.states]] = 0.0
         return np.minimum(config.gate + config.gate_growth * away, config.gate_limit)
 
-    def settle(self, time: float, seen: Vector) -> list[tuple[str, TrackState, TrackState]]:
+    def settle(self, time: float, seen: Selection) -> list[tuple[str, TrackState, TrackState]]:
         """Move every track to its next state; return what changed."""
         changes = []
         for i, before in enumerate(self.states):
@@ -353,7 +357,7 @@ class ConstellationTracker:
         return turned + self._motion.state[:, 0][:, None, :]
 
     def _register(
-        self, cloud: Vector, rotation: Vector, position: Vector, which: Vector, gates: Vector
+        self, cloud: Vector, rotation: Vector, position: Vector, which: Selection, gates: Vector
     ) -> tuple[Vector, Vector, Vector, Vector, Vector]:
         """Iterate matching and registration of the bodies ``which`` from a first guess.
 
@@ -435,7 +439,7 @@ class ConstellationTracker:
         return TrackResult(poses, self.states, tuple(changes), cloud[~used])
 
     def _accept(
-        self, which: Vector, rotation: Vector, position: Vector, dt: float, seen: Vector
+        self, which: Selection, rotation: Vector, position: Vector, dt: float, seen: Selection
     ) -> None:
         error = np.einsum("bji,bjk->bik", self._rotation[which], rotation)
         vector = 0.5 * np.stack(
@@ -453,7 +457,7 @@ class ConstellationTracker:
         self._motion.update(which, position)
         seen[which] = True
 
-    def _search(self, i: int, cloud: Vector, used: Vector, gate: float, seen: Vector) -> None:
+    def _search(self, i: int, cloud: Vector, used: Selection, gate: float, seen: Selection) -> None:
         """Look for a vehicle of unknown heading among the markers nobody has claimed."""
         config, motion = self.config, self._motion
         free = np.flatnonzero(~used)

@@ -232,8 +232,8 @@ class QualisysServer:
             if self._last is None:
                 client.send(NO_DATA, b"")
             else:
-                wanted = [_COMPONENTS[w.lower()] for w in words[1:] if w.lower() in _COMPONENTS]
-                client.connection.sendall(self._encode(self._last, wanted))
+                parts = [_COMPONENTS[w.lower()] for w in words[1:] if w.lower() in _COMPONENTS]
+                client.connection.sendall(self._encode(self._last, parts))
         else:
             client.send(ERROR, b"Parse error\0")
 

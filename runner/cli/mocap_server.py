@@ -1,0 +1,97 @@
+"""``crazyarena mocap-server``: motion capture for others, with cameras or without."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from crazyarena.runner.cli.common import bad_input_exits
+from crazyarena.runner.cli.mocap_options import (
+    HOST_HELP,
+    OPTION_HELP,
+    nominal_track,
+    open_named_source,
+)
+
+
+def register(app: typer.Typer) -> None:
+    app.command("mocap-server")(mocap_server)
+
+
+def mocap_server(
+    protocol: Annotated[
+        str, typer.Option(help="What to serve: qualisys (QTM real-time protocol) or zenoh.")
+    ] = "qualisys",
+    source: Annotated[
+        str,
+        typer.Option(help="sim (circling bodies, no cameras) or any source of mocap-check."),
+    ] = "sim",
+    host: Annotated[str | None, typer.Option(help=HOST_HELP)] = None,
+    option: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE", help=OPTION_HELP)] = None,
+    body: Annotated[
+        list[str] | None, typer.Option(help="Body to serve (repeatable; default cf1).")
+    ] = None,
+    level: Annotated[
+        str | None, typer.Option(help="Also serve the gates and obstacles of this level (sim).")
+    ] = None,
+    rate: Annotated[float, typer.Option(min=1.0, max=1000.0, help="Frames per second (sim).")] = (
+        120.0
+    ),
+    port: Annotated[
+        int, typer.Option(min=1, max=65533, help="QTM base port; clients use this plus 1.")
+    ] = 22222,
+    address: Annotated[str, typer.Option(help="Address to listen on (qualisys).")] = "127.0.0.1",
+    listen: Annotated[
+        str, typer.Option(help="Endpoint to listen on (zenoh).")
+    ] = "tcp/127.0.0.1:7447",
+    seed: Annotated[int, typer.Option(help="Seed of the simulated cameras.")] = 0,
+    seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after this long.")] = None,
+) -> None:
+    """Serve poses as a camera system would, or pass those of real cameras on."""
+    with bad_input_exits():
+        import math
+        from contextlib import closing
+
+        from crazyarena.clock import WallClock
+        from crazyarena.errors import InputError
+        from crazyarena.mocap.camera_model import CameraModel
+        from crazyarena.mocap.serve import Outlet, circling, relay
+        from crazyarena.mocap.sim_source import SimSource
+        from crazyarena.mocap.source import PoseSource
+        from crazyarena.mocap.vendor_server import QualisysServer
+        from crazyarena.mocap.zenoh_link import ZenohPublisher
+
+        clock = WallClock()
+        names = body or ["cf1"]
+        opened: PoseSource
+        if source == "sim":
+            track = {}
+            if level is not None:
+                from crazyarena.levels import load_level
+
+                track = dict(nominal_track(load_level(level)))
+            flight = circling(names)
+            opened = SimSource(
+                clock, lambda time: {**flight(time), **track}, CameraModel(rate=rate), seed
+            )
+            names = [*names, *track]
+        else:
+            opened = open_named_source(source, host, option or (), clock)
+        with closing(opened):
+            outlet: Outlet
+            if protocol == "qualisys":
+                outlet = QualisysServer(names, port, address)
+                where = f"QTM real-time protocol on {address}, base port {port}"
+            elif protocol == "zenoh":
+                outlet = ZenohPublisher(clock, listen=[listen])
+                where = f"zenoh on {listen}"
+            else:
+                raise InputError(f"--protocol: found {protocol!r}; choose qualisys or zenoh")
+            with closing(outlet):
+                typer.echo(f"serving {', '.join(names)}: {where}; Ctrl-C ends")
+                try:
+                    count = relay(opened, [outlet], clock, seconds or math.inf)
+                except KeyboardInterrupt:
+                    raise typer.Exit from None
+        typer.echo(f"{count} frames served")

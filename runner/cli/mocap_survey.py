@@ -1,0 +1,74 @@
+"""``crazyarena mocap-survey``: measure the track before a trial."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
+from crazyarena.runner.cli.mocap_options import (
+    HOST_HELP,
+    OPTION_HELP,
+    SOURCE_HELP,
+    nominal_track,
+    open_named_source,
+)
+
+if TYPE_CHECKING:
+    from crazyarena.clock import Clock
+    from crazyarena.mocap.source import PoseSource
+    from crazyarena.types import PoseFrame
+
+
+def register(app: typer.Typer) -> None:
+    app.command("mocap-survey")(mocap_survey)
+
+
+def _frames(source: PoseSource, clock: Clock, timeout: float) -> Iterator[PoseFrame]:
+    end = clock.now() + timeout
+    while clock.now() < end:
+        yield from source.frames(0.1)
+
+
+def mocap_survey(
+    level: Annotated[str, typer.Argument(help="Level (name or file) whose track is set up.")],
+    mocap: Annotated[str, typer.Argument(metavar="MOCAP", help=SOURCE_HELP)],
+    output: Annotated[Path, typer.Option(help="Where to write the measured track.")],
+    host: Annotated[str | None, typer.Option(help=HOST_HELP)] = None,
+    option: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE", help=OPTION_HELP)] = None,
+    frames: Annotated[int, typer.Option(min=10, help="Frames to average.")] = 200,
+    tolerance: Annotated[
+        float, typer.Option(min=0.0, help="Largest distance from nominal, m.")
+    ] = 0.15,
+    timeout: Annotated[float, typer.Option(min=0.1, help="Give up after this long, s.")] = 30.0,
+) -> None:
+    """Average the poses of gates and obstacles; refuse what is out of tolerance."""
+    with bad_input_exits():
+        from contextlib import closing
+
+        from crazyarena.clock import WallClock
+        from crazyarena.levels import load_level
+        from crazyarena.mocap.survey import SurveyConfig, survey, write_track
+
+        nominal = nominal_track(load_level(level))
+        clock = WallClock()
+        with closing(open_named_source(mocap, host, option or (), clock)) as source:
+            report = survey(
+                _frames(source, clock, timeout),
+                nominal,
+                SurveyConfig(frames=frames, position_tolerance=tolerance),
+            )
+        for measured in report.bodies:
+            typer.echo(
+                f"{measured.name}: seen {measured.seen}/{report.frames}, "
+                f"{measured.deviation * 1e2:.1f} cm from nominal, spread "
+                f"{measured.spread * 1e3:.1f} mm"
+            )
+        if not report.accepted:
+            typer.echo("\n".join(report.problems))
+            raise typer.Exit(EXIT_NOT_CLEAN)
+        write_track(output, report, level)
+        typer.echo(f"measured track written to {output}")
