@@ -28,6 +28,23 @@ from crazyarena.sim_backend.physics.arena_plant import (
 )
 
 BASE_ADDRESS = 0xE7E7E7E700
+# One of each high-level command, setpoint, notification, arming and watchdog.
+_EVERY_COMMAND = (
+    "9d0101",
+    "9d04",
+    "7c00",
+    "7d0000000000",
+    "8c0000",
+    "8c0700000000000000000000000000",
+    "8c0800000000000000000000000000",
+    "8c0900000000000000000000000000000000",
+    "8c0a00000000000000000000000000000000",
+    "8c0c" + 23 * "00",
+    "8c0b" + 23 * "00",
+    "8c060101000000000001",
+    "8c0d00000000010000803f",
+    "8c0300",
+)
 _RSSI = 45  # -dBm: a vehicle across the room
 _VENDOR = 0xBC
 
@@ -113,6 +130,19 @@ class VirtualCrazyflie:
         packets += self.console.take()
         self.counters.sent += len(packets)
         return packets
+
+    def warm_up(self) -> None:
+        """Compile what answers to commands, so that the first one in flight does not wait.
+
+        Every command is given once, then the vehicle is rebooted.
+        """
+        for request in _EVERY_COMMAND:
+            self.receive(bytes.fromhex(request))
+        self.flight.external_position((0.0, 0.0, 0.0))
+        self.flight.peer_position(1, (0.0, 0.0, 0.0))
+        self.flight.recover()
+        self.counters = Counters()
+        self.reboot()
 
     def reboot(self) -> None:
         """Restart the firmware where the vehicle stands; stored parameters survive."""

@@ -1,0 +1,125 @@
+"""``crazyarena virtual-cf``: simulated Crazyflies that a client cannot tell from real ones."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+from typing import Annotated, Any
+
+import typer
+
+from crazyarena.errors import CrazyarenaError, InputError
+from crazyarena.runner.cli.common import bad_input_exits
+
+_PROFILES = ("arena",)
+
+
+def register(app: typer.Typer) -> None:
+    app.command("virtual-cf")(virtual_cf)
+
+
+def virtual_cf(
+    count: Annotated[int, typer.Option(help="How many vehicles.")] = 1,
+    port: Annotated[int, typer.Option(help="UDP port of the first; 0 takes free ones.")] = 19850,
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    level: Annotated[
+        str | None, typer.Option(help="Level whose gates, obstacles and start to use.")
+    ] = None,
+    profile: Annotated[str, typer.Option(help="Simulated firmware: arena.")] = "arena",
+    loss: Annotated[
+        str | None, typer.Option(metavar="SHARE", help="Lost packets each way, e.g. 5%.")
+    ] = None,
+    latency: Annotated[
+        str | None, typer.Option(metavar="TIME", help="Delay each way, e.g. 8ms±3ms.")
+    ] = None,
+    battery: Annotated[
+        str | None, typer.Option(metavar="VOLTS", help="Battery at the start, e.g. 3.7V.")
+    ] = None,
+    safe_link: Annotated[
+        bool, typer.Option(help="Repeat lost requests and answers, as a radio's safe link does.")
+    ] = True,
+    feed_poses: Annotated[
+        float,
+        typer.Option(
+            metavar="HZ", help="Give each vehicle its true pose, as if a client had sent it."
+        ),
+    ] = 0.0,
+    mocap: Annotated[bool, typer.Option(help="Publish the poses over zenoh.")] = True,
+    mocap_endpoint: Annotated[
+        str, typer.Option(help="Zenoh endpoint to listen on.")
+    ] = "tcp/127.0.0.1:7447",
+    mocap_rate: Annotated[float, typer.Option(metavar="HZ", help="Camera frames.")] = 120.0,
+    camera_noise: Annotated[
+        bool, typer.Option(help="Noise, delay and dropouts of real cameras.")
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of losses and camera noise.")] = 0,
+) -> None:
+    """Run simulated Crazyflies in wall time, each on its own UDP port.
+
+    Any CRTP client finds them, e.g. cflib with udp://127.0.0.1:19850. The estimator knows only
+    the poses that clients send (or --feed-poses). While it runs, standard input takes
+    "loss 5%", "latency 8ms±3ms", "battery 3.2V", "cut 2s", "reboot" and "status".
+    Ends at Ctrl-C or SIGTERM.
+    """
+    with bad_input_exits():
+        if profile not in _PROFILES:
+            raise InputError(f"--profile: found {profile!r}; choose {' or '.join(_PROFILES)}")
+        from crazyarena.sim_backend.crtp.host import Options, build, status
+        from crazyarena.sim_backend.jit import is_cold
+
+        if is_cold():
+            typer.echo("Compiling the simulation; this happens once.", err=True)
+        running = build(
+            Options(
+                count=count,
+                host=host,
+                port=port,
+                level=level,
+                loss=loss,
+                latency=latency,
+                battery=battery,
+                safe_link=safe_link,
+                feed_poses=feed_poses,
+                mocap=mocap,
+                mocap_endpoint=mocap_endpoint,
+                mocap_rate=mocap_rate,
+                camera_noise=camera_noise,
+                seed=seed,
+            )
+        )
+    server = running.server
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: server.stop())
+    for uri in server.uris:
+        typer.echo(uri)
+    sys.stdout.flush()
+    if _may_read_input():
+        threading.Thread(target=_obey, args=(running,), daemon=True).start()
+    try:
+        server.run()
+        for line in status(server):
+            typer.echo(line, err=True)
+    finally:
+        running.close()
+
+
+def _may_read_input() -> bool:
+    """False in the background of a terminal, where reading would stop the process."""
+    with contextlib.suppress(OSError, ValueError):
+        number = sys.stdin.fileno()
+        return not os.isatty(number) or os.tcgetpgrp(number) == os.getpgrp()
+    return False
+
+
+def _obey(running: Any) -> None:
+    for line in sys.stdin:
+        if not line.strip():
+            continue
+        try:
+            typer.echo(running.command(line))
+        except CrazyarenaError as error:
+            typer.echo(f"error: {error}", err=True)
+        sys.stdout.flush()

@@ -1,0 +1,222 @@
+"""What ``crazyarena virtual-cf`` runs: a swarm, its world and its link, from options as typed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from crazyarena.clock import WallClock
+from crazyarena.errors import InputError
+from crazyarena.levels.draw import LevelRandom
+from crazyarena.levels.load import load_level
+from crazyarena.mocap.camera_model import CameraModel
+from crazyarena.mocap.sim_source import SimSource
+from crazyarena.mocap.zenoh_link import ZenohPublisher
+from crazyarena.sim_backend.arena import ArenaFleet
+from crazyarena.sim_backend.crtp import faults as ft
+from crazyarena.sim_backend.crtp.link import BASE_PORT
+from crazyarena.sim_backend.crtp.server import VirtualServer
+from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
+from crazyarena.sim_backend.physics.scene import build_scene
+
+MAX_VEHICLES = 100
+_SPACING = 0.5  # m, between vehicles on the ground
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Options of ``virtual-cf``; the texts are parsed by :func:`build`.
+
+    count vehicles from ``port`` on; ``level`` puts gates and obstacles into the world and the
+    first vehicle at its start. ``feed_poses`` Hz, 0 for none. ``mocap`` publishes the poses over
+    zenoh at ``mocap_rate`` Hz on ``mocap_endpoint``, as ideal cameras see them or, with
+    ``camera_noise``, as real ones do.
+    """
+
+    count: int = 1
+    host: str = "127.0.0.1"
+    port: int = BASE_PORT
+    level: str | None = None
+    loss: str | None = None
+    latency: str | None = None
+    battery: str | None = None
+    safe_link: bool = True
+    feed_poses: float = 0.0
+    mocap: bool = True
+    mocap_endpoint: str = "tcp/127.0.0.1:7447"
+    mocap_rate: float = 120.0
+    camera_noise: bool = False
+    seed: int = 0
+
+
+def starts(count: int, first: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """Places on the ground (count, 3) m: rows of ten to the left of and behind the first."""
+    places = np.zeros((count, 3))
+    for index in range(count):
+        places[index, 0] = first[0] - _SPACING * (index // 10)
+        places[index, 1] = first[1] + _SPACING * (index % 10)
+    return places
+
+
+class Host:
+    """A running set of virtual vehicles and the publisher of their poses."""
+
+    def __init__(self, server: VirtualServer, publisher: ZenohPublisher | None) -> None:
+        self.server = server
+        self._publisher = publisher
+
+    def close(self) -> None:
+        """Release ports and session; idempotent."""
+        self.server.close()
+        if self._publisher is not None:
+            self._publisher.close()
+            self._publisher = None
+
+    def command(self, line: str) -> str:
+        """Inject a fault by a line of text; returns what was done.
+
+        Raises
+        ------
+        InputError: not one of ``loss 5%``, ``latency 8ms±3ms``, ``battery 3.2V``, ``cut 2s``,
+            ``reboot``, ``status``.
+        """
+        word, _, value = line.strip().partition(" ")
+        action = _COMMANDS.get(word)
+        if action is None:
+            raise InputError(f"command: found {line.strip()!r}; write one of {', '.join(_COMMANDS)}")
+        return action(self.server, value)
+
+
+def _loss(server: VirtualServer, value: str) -> str:
+    server.set_faults(loss=ft.parse_share(value))
+    return f"loss {value}"
+
+
+def _latency(server: VirtualServer, value: str) -> str:
+    latency, jitter = ft.parse_latency(value)
+    server.set_faults(latency=latency, jitter=jitter)
+    return f"latency {value}"
+
+
+def _battery(server: VirtualServer, value: str) -> str:
+    server.set_battery(ft.parse_volts(value))
+    return f"battery {value}"
+
+
+def _cut(server: VirtualServer, value: str) -> str:
+    seconds, _ = ft.parse_latency(value)
+    server.cut(seconds)
+    return f"link cut for {value}"
+
+
+def _reboot(server: VirtualServer, value: str) -> str:
+    server.reboot()
+    return "rebooted"
+
+
+def _status(server: VirtualServer, value: str) -> str:
+    return "\n".join(status(server))
+
+
+_COMMANDS: dict[str, Callable[[VirtualServer, str], str]] = {
+    "loss": _loss,
+    "latency": _latency,
+    "battery": _battery,
+    "cut": _cut,
+    "reboot": _reboot,
+    "status": _status,
+}
+
+
+def status(server: VirtualServer) -> list[str]:
+    """Lines on each vehicle's link and on how the simulation keeps up with wall time."""
+    lines = []
+    for link, vehicle in zip(server.links, server.swarm.vehicles, strict=True):
+        up, down = link.uplink.counters, link.downlink.counters
+        lines.append(
+            f"{link.uri}: received {up.carried} (lost {up.lost}, repeated {up.repeated}, "
+            f"cut {up.cut}, malformed {vehicle.counters.malformed}), sent {down.carried} "
+            f"(lost {down.lost}, repeated {down.repeated}, cut {down.cut}), "
+            f"supervisor {vehicle.flight.info():#05x}"
+        )
+    pace = server.pace
+    lines.append(
+        f"simulated {1e-3 * pace.ticks:.1f} s; fell behind by more than 50 ms "
+        f"{pace.stalls} times, at most {pace.worst} ms; nothing skipped"
+    )
+    return lines
+
+
+def build(options: Options) -> Host:
+    """Make everything, compile the kernels, listen; the server is not started yet.
+
+    Raises
+    ------
+    InputError: an option is wrong or a port is taken.
+    """
+    if not 1 <= options.count <= MAX_VEHICLES:
+        raise InputError(f"--count: found {options.count}; need 1 to {MAX_VEHICLES}")
+    if not 0.0 <= options.feed_poses <= 1000.0:
+        raise InputError(f"--feed-poses: found {options.feed_poses}; need 0 to 1000 Hz")
+    faults = ft.Faults(safe_link=options.safe_link)
+    if options.loss is not None:
+        faults.loss = ft.parse_share(options.loss)
+    if options.latency is not None:
+        faults.latency, faults.jitter = ft.parse_latency(options.latency)
+    volts = None if options.battery is None else ft.parse_volts(options.battery)
+
+    scene, first = None, (0.0, 0.0)
+    yaw = 0.0
+    if options.level is not None:
+        draw = LevelRandom(load_level(options.level)).reset()
+        scene = build_scene(draw.gates.tolist(), draw.obstacles.tolist())
+        first = (float(draw.start[0]), float(draw.start[2]))
+        yaw = float(draw.start[8])
+    fleet = ArenaFleet(starts(options.count, first), np.full(options.count, yaw), scene=scene)
+    # The first tick compiles the kernels, which must not happen in flight.
+    fleet.advance(1)
+    swarm = VirtualSwarm(fleet, feed_rate=options.feed_poses)
+    for vehicle in swarm.vehicles:
+        vehicle.warm_up()
+
+    clock = WallClock()
+    cameras = publisher = None
+    if options.mocap:
+        rate = options.mocap_rate
+        if not (math.isfinite(rate) and 0.0 < rate <= 500.0):
+            raise InputError(f"--mocap-rate: found {rate}; need up to 500 Hz")
+        publisher = ZenohPublisher(clock, listen=[options.mocap_endpoint])
+        model = CameraModel(rate=rate) if options.camera_noise else _ideal(rate)
+        cameras = SimSource(clock, model=model, seed=options.seed)
+    try:
+        server = VirtualServer(
+            swarm,
+            options.host,
+            options.port,
+            faults=faults,
+            clock=clock,
+            cameras=cameras,
+            publisher=publisher,
+            seed=options.seed,
+        )
+    except InputError:
+        if publisher is not None:
+            publisher.close()
+        raise
+    if volts is not None:
+        server.set_battery(volts)
+    return Host(server, publisher)
+
+
+def _ideal(rate: float) -> CameraModel:
+    return CameraModel(
+        rate=rate,
+        latency=0.0,
+        latency_jitter=0.0,
+        position_noise=0.0,
+        attitude_noise=0.0,
+        dropout=0.0,
+    )
