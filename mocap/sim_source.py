@@ -52,6 +52,13 @@ class SimSource:
         """Session time of the next exposure, s."""
         return self._start + self._frame / self.model.rate
 
+    @property
+    def next_event(self) -> float:
+        """Session time of whatever comes first: the next exposure, or a frame's arrival, s."""
+        if self._flying:
+            return min(self.next_exposure, self._flying[0].received)
+        return self.next_exposure
+
     def expose(self, time: float, truth: Mapping[str, Pose]) -> None:
         """Take one frame of the true poses at ``time``."""
         frame_id = self._frame
