@@ -130,8 +130,8 @@ class Node:
         if isinstance(self.value, Mapping):
             child = self.value.get(key)
             path = f"{self.path}.{key}" if self.path else str(key)
-        elif isinstance(self.value, Sequence) and not isinstance(self.value, str):
-            child = self.value[key]  # type: ignore[call-overload]
+        elif isinstance(self.value, list) and isinstance(key, int):
+            child = self.value[key]
             path = f"{self.path}[{key}]"
         else:
             raise self.fail(f"a mapping with the key '{key}'")

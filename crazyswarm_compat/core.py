@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.checks import check
 from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
+from crazyarena.crazyswarm_compat.hardware import PoseFeed, start_hardware
 from crazyarena.errors import BackendError, CommandError
 from crazyarena.types import VehicleState
 
@@ -173,6 +175,7 @@ class FleetCore:
 
     def __init__(self, backend: Backend, vehicles: Sequence[Any]) -> None:
         self._backend = backend
+        self._feed: PoseFeed | None = None
         self.crazyflies = list(vehicles)
         self.crazyfliesById = VehiclesById((cf.id, cf) for cf in self.crazyflies)
         # A script has no call that ends a fleet, and may keep only one of its vehicles: the
@@ -183,8 +186,17 @@ class FleetCore:
         check(command, EVERYBODY)
         self._backend.send(command, None)
 
+    def _start_hardware(self, fleet: FleetConfig, clock: Clock, mocap: str | None) -> None:
+        try:
+            self._feed = start_hardware(fleet, self._backend, clock, mocap)
+        except BaseException:
+            self._backend.close()
+            raise
+
     def close(self) -> None:
         """Release the link; idempotent."""
+        if self._feed is not None:
+            self._feed.close()
         self._backend.close()
 
     def emergency(self) -> None:

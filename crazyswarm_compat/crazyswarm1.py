@@ -25,6 +25,7 @@ from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.checks import check_param_name
 from crazyarena.crazyswarm_compat.config import FleetConfig, load_crazyflies_1, load_types_1
 from crazyarena.crazyswarm_compat.core import EVERYBODY, FleetCore, VehicleCore, by_config, vector
+from crazyarena.crazyswarm_compat.hardware import with_uris
 from crazyarena.crazyswarm_compat.joystick import Joystick
 from crazyarena.crazyswarm_compat.options import parse, warn
 from crazyarena.crazyswarm_compat.registry import (
@@ -224,6 +225,7 @@ class CrazyflieServer(FleetCore):
     timeHelper: its clock drives the simulation.
     crazyflies_yaml: path ending in ``.yaml``, or the YAML text.
     backend: name in :data:`.registry.ENTRIES`.
+    uris, mocap: see :func:`.hardware.with_uris` and :func:`.hardware.start_hardware`.
     """
 
     def __init__(
@@ -231,13 +233,17 @@ class CrazyflieServer(FleetCore):
         timeHelper: Any,
         crazyflies_yaml: str | os.PathLike[str] = DEFAULT_YAML,
         backend: str = "ideal",
+        uris: str | None = None,
+        mocap: str | None = None,
     ) -> None:
-        fleet = _load_fleet(crazyflies_yaml, with_types=backend == "radio")
+        fleet = with_uris(_load_fleet(crazyflies_yaml, with_types=backend == "radio"), uris)
         link = open_backend(backend, fleet, timeHelper.clock, getattr(timeHelper, "options", None))
         super().__init__(
             link, [Crazyflie(link, config, timeHelper) for config in by_config(fleet, link)]
         )
         timeHelper.crazyflies = self.crazyflies
+        if backend == "radio":
+            self._start_hardware(fleet, timeHelper.clock, mocap)
 
     def stop(self, groupMask: int = 0) -> None:
         """Make every high-level commander idle."""
@@ -289,5 +295,7 @@ class Crazyswarm:
                 atexit.register(self.timeHelper._atexit)
         else:
             self.timeHelper = WallTimeHelper(WallClock())
-        self.allcfs = CrazyflieServer(self.timeHelper, crazyflies_yaml, parsed.backend)
+        self.allcfs = CrazyflieServer(
+            self.timeHelper, crazyflies_yaml, parsed.backend, parsed.uri, parsed.mocap
+        )
         self.input = Joystick(self.timeHelper)

@@ -27,6 +27,7 @@ from crazyarena.crazyswarm_compat.config import (
 )
 from crazyarena.crazyswarm_compat.core import EVERYBODY, FleetCore, VehicleCore, by_config, vector
 from crazyarena.crazyswarm_compat.crazyswarm1 import Crazyflie as Viewed
+from crazyarena.crazyswarm_compat.hardware import with_uris
 from crazyarena.crazyswarm_compat.joystick import Joystick
 from crazyarena.crazyswarm_compat.options import parse, warn
 from crazyarena.crazyswarm_compat.registry import open_backend
@@ -211,7 +212,13 @@ class Crazyflie(VehicleCore):
 class CrazyflieServer(FleetCore):
     """The fleet: ``crazyflies``, ``crazyfliesById``, ``crazyfliesByName`` and the broadcasts."""
 
-    def __init__(self, timeHelper: Any, fleet: FleetConfig, backend: str = "ideal") -> None:
+    def __init__(
+        self,
+        timeHelper: Any,
+        fleet: FleetConfig,
+        backend: str = "ideal",
+        mocap: str | None = None,
+    ) -> None:
         link = open_backend(backend, fleet, timeHelper.clock, getattr(timeHelper, "options", None))
         configs = by_config(fleet, link)
         super().__init__(link, [Crazyflie(link, config, timeHelper) for config in configs])
@@ -222,6 +229,8 @@ class CrazyflieServer(FleetCore):
             # Viewers and logs ask for position() and rpy(), which only the older face has.
             timeHelper.crazyflies = [Viewed(link, config, timeHelper) for config in configs]
         timeHelper.after_sleep(self._spin)
+        if backend == "radio":
+            self._start_hardware(fleet, timeHelper.clock, mocap)
 
     @property
     def paramTypeDict(self) -> dict[str, dict[str, int]]:
@@ -284,7 +293,9 @@ class Crazyswarm:
                 atexit.register(self.timeHelper.close)
         else:
             self.timeHelper = WallTimeHelper(WallClock())
-        self.allcfs = CrazyflieServer(self.timeHelper, fleet, parsed.backend)
+        self.allcfs = CrazyflieServer(
+            self.timeHelper, with_uris(fleet, parsed.uri), parsed.backend, parsed.mocap
+        )
         self.input = Joystick(self.timeHelper)
 
 

@@ -60,6 +60,18 @@ def build_argparser(
     parser.add_argument(
         "--crazyflies-yaml", "--crazyflies_yaml", metavar="PATH", help="vehicle list to use"
     )
+    parser.add_argument(
+        "--uri",
+        metavar="URI[,URI...]",
+        help="[radio] links of the vehicles in file order, e.g. udp://127.0.0.1:19850, instead "
+        "of those of the vehicle list",
+    )
+    parser.add_argument(
+        "--mocap",
+        metavar="SOURCE[:HOST]",
+        help="[radio] forward poses from here and prepare the vehicles before the script starts, "
+        "e.g. vicon:192.168.1.2 or zenoh:tcp/127.0.0.1:7447",
+    )
     return parser
 
 
@@ -98,7 +110,11 @@ def parse(
         for flag in ("writecsv", "video"):
             if getattr(parsed, flag):
                 warn(f"--{flag} only works in simulation and is ignored")
-    elif parsed.vis == "vispy":
+    else:
+        for flag in ("uri", "mocap"):
+            if getattr(parsed, flag) is not None:
+                raise InputError(f"--{flag}: only --backend radio has one; give it or leave out")
+    if parsed.vis == "vispy" and parsed.sim:
         warn("--vis vispy: there is no vispy viewer here; using --vis mpl")
         parsed.vis = "mpl"
     if parsed.sim and parsed.video and parsed.vis != "mpl":

@@ -79,6 +79,13 @@ ENTRIES: dict[str, str] = {
 }
 # The firmware's planner by the names of its Python bindings, for scripts that plan by themselves.
 BINDINGS = "crazyarena.sim_backend.bindings"
+# Motion capture for scripts that fly real vehicles.
+POSE_PARTS = {
+    "open_source": "crazyarena.mocap.source:open_source",
+    "PoseEstimator": "crazyarena.mocap.estimator:PoseEstimator",
+    "PoseForwarder": "crazyarena.mocap.forwarder:PoseForwarder",
+    "PosePipeline": "crazyarena.mocap.pipeline:PosePipeline",
+}
 SIMULATED = frozenset({"ideal", "sim", "pybullet"})  # these run on a virtual clock
 
 
@@ -110,6 +117,15 @@ def open_backend(
             f"backend {name!r}: {ENTRIES[name]} is not part of this installation ({error})"
         ) from error
     return factory(fleet, clock, options or SimOptions())
+
+
+def pose_parts() -> dict[str, Any]:
+    """Classes and functions of :data:`POSE_PARTS`, imported only now."""
+    parts = {}
+    for name, entry in POSE_PARTS.items():
+        module, attribute = entry.split(":")
+        parts[name] = getattr(importlib.import_module(module), attribute)
+    return parts
 
 
 def firmware_bindings() -> ModuleType:

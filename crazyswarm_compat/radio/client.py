@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 from typing import Any
@@ -12,6 +13,9 @@ from cflib.crtp.crtpstack import CRTPPacket, CRTPPort
 from cflib.crtp.udpdriver import UdpDriver
 
 _DRIVERS = threading.Lock()
+# What cflib has to say of broken links reaches the user as events and errors; its log only where
+# the program has set one up.
+logging.getLogger("cflib").addHandler(logging.NullHandler())
 
 
 def init_drivers() -> None:

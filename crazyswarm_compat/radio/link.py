@@ -246,9 +246,12 @@ class VehicleLink:
     def _no_connection(self, client: Client, timeout: float) -> str:
         where = f"{self.name} ({self.config.uri})"
         if self._failure is not None:
-            reason = self._failure.strip().splitlines()
-            last = next((line for line in reversed(reason) if line.strip()), "unknown reason")
-            return f"{where}: cannot connect: {reason[0] if len(reason) == 1 else last.strip()}"
+            # A driver's message may end in a traceback, whose last line says what it was.
+            lines = self._failure.strip().splitlines() or ["unknown reason"]
+            return (
+                f"{where}: cannot connect: {lines[-1].strip()}; is the vehicle switched on, and "
+                "the radio plugged in?"
+            )
         if client.platform.get_protocol_version() < 0:
             return (
                 f"{where}: no answer within {timeout:g} s; is the vehicle switched on, and are "

@@ -109,8 +109,8 @@ class OutboxOptions:
     command_expiry: float = 1.0
     setpoint_expiry: float = 0.3
     extpose_expiry: float = 0.2
-    ack_timeout: float = 0.06
-    ack_tries: int = 8
+    ack_timeout: float = 0.08
+    ack_tries: int = 12
     emergency_repeats: int = 15
     emergency_interval: float = 0.01
     emergency_patience: float = 5.0

@@ -1,0 +1,207 @@
+"""Every wrong call is refused, and the message names the vehicle and the argument."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from crazyarena.clock import VirtualClock, WallClock
+from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.crazyswarm_compat.checks import check
+from crazyarena.crazyswarm_compat.config import load_crazyflies_1
+from crazyarena.crazyswarm_compat.options import CrazyswarmWarning, parse
+from crazyarena.crazyswarm_compat.registry import open_backend
+from crazyarena.crazyswarm_compat.uav_trajectory import Polynomial4D, Trajectory
+from crazyarena.errors import BackendError, CommandError, InputError
+
+NAN, INF = math.nan, math.inf
+ZERO = [0.0, 0.0, 0.0]
+
+CALLS = {
+    "height is nan": (lambda cf: cf.takeoff(NAN, 1), "cf1: takeoff: targetHeight"),
+    "height is text": (lambda cf: cf.takeoff("high", 1), "cf1: takeoff: targetHeight"),
+    "negative duration": (lambda cf: cf.takeoff(1, -1), "cf1: takeoff: duration is -1"),
+    "infinite duration": (lambda cf: cf.land(0, INF), "cf1: land: duration"),
+    "mask too large": (lambda cf: cf.land(0, 1, groupMask=256), "cf1: land: groupMask is 256"),
+    "goal is nan": (lambda cf: cf.goTo([NAN, 0, 1], 0, 1), "cf1: goTo: goal"),
+    "goal of two": (lambda cf: cf.goTo([0, 1], 0, 1), "cf1: goTo: goal"),
+    "goal of text": (lambda cf: cf.goTo("abc", 0, 1), "cf1: goTo: goal"),
+    "ragged goal": (lambda cf: cf.goTo([[0], [1, 2], 3], 0, 1), "cf1: goTo: goal"),
+    "yaw is nan": (lambda cf: cf.goTo(ZERO, NAN, 1), "cf1: goTo: yaw"),
+    "go-to duration": (lambda cf: cf.goTo(ZERO, 0, -0.1), "cf1: goTo: duration"),
+    "mask is fractional": (lambda cf: cf.setGroupMask(1.5), "cf1: setGroupMask: groupMask"),
+    "stop mask": (lambda cf: cf.stop(-1), "cf1: stop: groupMask"),
+    "notify": (lambda cf: cf.notifySetpointsStop(-1), "cf1: notifySetpointsStop: remainValid"),
+    "timescale": (lambda cf: cf.startTrajectory(0, timescale=0), "cf1: startTrajectory: timescale"),
+    "trajectory id": (lambda cf: cf.startTrajectory(-1), "cf1: startTrajectory: trajectoryId"),
+    "full state": (
+        lambda cf: cf.cmdFullState(ZERO, ZERO, [0, 0, INF], 0, ZERO),
+        "cf1: cmdFullState: acc",
+    ),
+    "position": (lambda cf: cf.cmdPosition([0, NAN, 0]), "cf1: cmdPosition: pos"),
+    "velocity": (lambda cf: cf.cmdVelocityWorld([0, NAN, 0], 0), "cf1: cmdVelocityWorld: vel"),
+    "yaw rate": (lambda cf: cf.cmdVelocityWorld(ZERO, NAN), "cf1: cmdVelocityWorld: yawRate"),
+    "thrust": (lambda cf: cf.cmdVel(0, 0, 0, 70000), "cf1: cmdVel: thrust is 70000"),
+    "colour": (lambda cf: cf.setLEDColor(0, 2, 0), "cf1: setLEDColor: g is 2"),
+    "parameter name": (lambda cf: cf.setParam("ring", 1), "cf1: parameter name is 'ring'"),
+    "parameter value": (lambda cf: cf.setParam("a/b", NAN), r"cf1: setParam: value of a\.b"),
+    "radii": (
+        lambda cf: cf.enableCollisionAvoidance([], [0.1, 0, 0.1]),
+        "cf1: enableCollisionAvoidance: ellipsoidRadii",
+    ),
+    "box": (
+        lambda cf: cf.enableCollisionAvoidance([], [1, 1, 1], bboxMin=[0, 0, NAN]),
+        "cf1: enableCollisionAvoidance: bboxMin",
+    ),
+    "horizon": (
+        lambda cf: cf.enableCollisionAvoidance([], [1, 1, 1], horizonSecs=0),
+        "cf1: enableCollisionAvoidance: horizonSecs",
+    ),
+}
+
+
+@pytest.fixture
+def swarm(swarm1):
+    swarm = swarm1()
+    swarm.allcfs.takeoff(1, 1)
+    swarm.timeHelper.sleep(1.2)
+    return swarm
+
+
+@pytest.mark.parametrize("case", CALLS)
+def test_refused(swarm, case):
+    call, message = CALLS[case]
+    cf = swarm.allcfs.crazyflies[0]
+    with pytest.raises(CommandError, match=message):
+        call(cf)
+    # A refused command must leave no trace.
+    where = cf.position()
+    swarm.timeHelper.sleep(0.5)
+    assert np.allclose(cf.position(), where)
+
+
+def test_broadcast_names_everybody(swarm):
+    with pytest.raises(CommandError, match="all vehicles: goTo: goal"):
+        swarm.allcfs.goTo([0, NAN, 0], 0, 1)
+
+
+def test_unknown_id(swarm):
+    with pytest.raises(KeyError, match="no vehicle with id 99; the fleet has 1, 10"):
+        swarm.allcfs.crazyfliesById[99]
+    assert swarm.allcfs.crazyfliesById.get(99) is None
+
+
+def test_unknown_trajectory_is_a_key_error(swarm, figure8):
+    cf = swarm.allcfs.crazyflies[0]
+    cf.uploadTrajectory(4, 0, figure8)
+    with pytest.raises(KeyError) as caught:
+        cf.startTrajectory(5)
+    message = "cf1: startTrajectory: trajectory 5 has not been uploaded; known are [4]"
+    assert str(caught.value) == message
+    assert isinstance(caught.value, CommandError)
+
+
+def pieces(count, size=8):
+    trajectory = Trajectory()
+    zero = [0.0] * 8
+    trajectory.polynomials = [
+        Polynomial4D(1.0, zero, [0.0] * size, zero, zero) for _ in range(count)
+    ]
+    return trajectory
+
+
+def test_memory_holds_31_pieces(swarm):
+    cf = swarm.allcfs.crazyflies[0]
+    cf.uploadTrajectory(0, 0, pieces(31))
+    with pytest.raises(CommandError, match=r"cf1: uploadTrajectory: .*holds 31 pieces"):
+        cf.uploadTrajectory(1, 0, pieces(32))
+    with pytest.raises(CommandError, match=r"cf1: uploadTrajectory: .*end at piece 32"):
+        cf.uploadTrajectory(1, 31, pieces(1))
+
+
+def test_piece_of_wrong_shape(swarm):
+    with pytest.raises(CommandError, match=r"cf1: uploadTrajectory: piece 0, py has shape \(7,\)"):
+        swarm.allcfs.crazyflies[0].uploadTrajectory(0, 0, pieces(2, size=7))
+
+
+def test_not_a_trajectory(swarm):
+    with pytest.raises(CommandError, match=r"cf1: uploadTrajectory: .* has no polynomials"):
+        swarm.allcfs.crazyflies[0].uploadTrajectory(0, 0, [1, 2, 3])
+
+
+def test_overlapping_trajectories_are_pointed_out(swarm):
+    cf = swarm.allcfs.crazyflies[0]
+    cf.uploadTrajectory(0, 0, pieces(5))
+    cf.uploadTrajectory(1, 5, pieces(5))
+    with pytest.warns(UserWarning, match=r"cf1: uploadTrajectory: trajectory 2 .* trajectory 1 "):
+        cf.uploadTrajectory(2, 9, pieces(5))
+
+
+def test_unknown_parameter(swarm):
+    with pytest.warns(CrazyswarmWarning, match=r"cf1: no parameter 'no\.such'"):
+        assert swarm.allcfs.crazyflies[0].getParam("no/such") is None
+
+
+@pytest.mark.parametrize("duration", [-0.1, NAN, INF])
+def test_sleep(swarm, duration):
+    with pytest.raises(CommandError, match=r"timeHelper\.sleep: duration"):
+        swarm.timeHelper.sleep(duration)
+
+
+@pytest.mark.parametrize("rate", [0, -5, NAN])
+def test_sleep_for_rate(swarm, rate):
+    with pytest.raises(CommandError, match=r"timeHelper\.sleepForRate: rate"):
+        swarm.timeHelper.sleepForRate(rate)
+
+
+def test_observer_must_be_callable(swarm):
+    with pytest.raises(CommandError, match="addObserver: 3"):
+        swarm.timeHelper.addObserver(3)
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("--sim --dt 0", "--dt: found 0.0"),
+        ("--sim --dt nan", "--dt: found nan"),
+        ("--sim --disturbance -1", "--disturbance: found -1.0"),
+        ("--sim --maxvel 0", "--maxvel: found 0.0"),
+        ("--sim --backend radio", "--sim: contradicts --backend radio"),
+        ("--sim --vis null --video a.gif", "--video: found --vis null"),
+    ],
+)
+def test_flags(flags, message):
+    with pytest.raises(InputError, match=message):
+        parse(flags, None)
+
+
+def test_unknown_backend():
+    fleet = load_crazyflies_1("crazyflies: []")
+    with pytest.raises(InputError, match="--backend: found 'gazebo'; expected one of ideal"):
+        open_backend("gazebo", fleet, VirtualClock())
+
+
+def test_simulation_needs_a_virtual_clock():
+    fleet = load_crazyflies_1("crazyflies: []")
+    with pytest.raises(BackendError, match="needs a virtual clock"):
+        open_backend("ideal", fleet, WallClock())
+
+
+def test_not_a_command():
+    with pytest.raises(CommandError, match="cf1: 'fly' is not a command"):
+        check("fly", "cf1")
+
+
+def test_backend_checks_what_is_sent_to_it_directly():
+    fleet = load_crazyflies_1("crazyflies: [{id: 3, initialPosition: [0, 0, 0]}]")
+    backend = open_backend("ideal", fleet, VirtualClock())
+    with pytest.raises(CommandError, match="cf3: goTo: goal"):
+        backend.send(c.GoTo([0, NAN, 0], 0, 1), 3)
+    with pytest.raises(CommandError, match="no vehicle with id 4; the fleet has 3"):
+        backend.send(c.Stop(), 4)
+    with pytest.raises(CommandError, match=r"uploadTrajectory: trajectory is .*\(n, 33\)"):
+        backend.send(c.UploadTrajectory(0, 0, np.zeros((2, 32))), 3)
+    with pytest.raises(CommandError, match="uploadTrajectory: piece 1"):
+        backend.send(c.UploadTrajectory(0, 0, np.eye(2, 33)), 3)
