@@ -27,7 +27,9 @@ from crazyarena.sim_backend.physics.geometry import (
     MAX_CONTACTS,
     NO_CONTACT,
     VEHICLE_REACH,
+    W_CACHE,
     W_CONTACTS,
+    W_LAST_CONTACTS,
     W_SIMPLEX,
     W_VEHICLE,
     boxes_overlap,
@@ -54,6 +56,7 @@ FRICTION_GROUND = 0.5  # PyBullet: product of the plane's 1.0 and the vehicle's 
 FRICTION_OBJECT = 0.25  # 0.5 each
 CORRECTION = 0.08  # share of a penetration undone per step, Bullet's contact ERP
 ITERATIONS = 20
+SETTLED = 1e-6  # m/s; the iteration ends when it changes velocities by less
 
 # Columns of one contact row, in the body frame.
 _N = 0  # unit normal, into the vehicle
@@ -64,6 +67,8 @@ _T = 8  # first tangent
 _IMPULSE = 11  # N s: normal, tangents
 _MASS = 14  # kg, effective, along the normal and the tangents
 
+# Sine of the tilt to a face below which the vehicle counts as lying flat on it.
+_FLAT = 0.005
 # The vehicle shrunk by this much is used once the whole one overlaps an object.
 _SHRINK = 0.011
 
@@ -133,7 +138,6 @@ def _add(work, plant, count, nx, ny, nz, rx, ry, rz, gap, mu):
     work[i, _MASS] = 1.0 / _inverse_mass(plant, rx, ry, rz, nx, ny, nz)
     work[i, _MASS + 1] = 1.0 / _inverse_mass(plant, rx, ry, rz, tx, ty, tz)
     work[i, _MASS + 2] = 1.0 / _inverse_mass(plant, rx, ry, rz, ux, uy, uz)
-    work[i, _IMPULSE], work[i, _IMPULSE + 1], work[i, _IMPULSE + 2] = 0.0, 0.0, 0.0
     return count + 1
 
 
@@ -151,7 +155,8 @@ def _add_face(work, plant, count, nx, ny, nz, level, reach, mu, scene, i):
     cx, cy, cz = work[v, S_CENTRE], work[v, S_CENTRE + 1], work[v, S_CENTRE + 2]
     height = nx * cx + ny * cy + nz * cz - level
     flat = math.sqrt(bx * bx + by * by)
-    ux, uy = (-bx / flat, -by / flat) if flat > 1e-9 else (1.0, 0.0)
+    # Lying flat, points fixed to the body let the solver start from the last step's impulses.
+    ux, uy = (-bx / flat, -by / flat) if flat > _FLAT else (1.0, 0.0)
     for k in range(5):
         # Four points of the cap that faces the plane, the nearest first, and one of the other.
         turn_x = 1.0 if k == 0 or k == 4 else (-1.0 if k == 2 else 0.0)
@@ -220,7 +225,11 @@ def _solve(work, plant, count, vx, vy, vz, wx, wy, wz, dt):
     """Velocities (body frame) that keep all contacts apart."""
     inverse = 1.0 / plant[P_MASS]
     jx, jy, jz = plant[P_INERTIA], plant[P_INERTIA + 1], plant[P_INERTIA + 2]
-    for _ in range(ITERATIONS):
+    # The normal impulses of the step before are a good start if the same contacts go on.
+    keep = 1.0 if work[W_CACHE, W_LAST_CONTACTS] == count else 0.0
+    work[W_CACHE, W_LAST_CONTACTS] = count
+    for sweep in range(-1, ITERATIONS):
+        change = 0.0
         for c in range(count):
             i = W_CONTACTS + c
             rx, ry, rz = work[i, _R], work[i, _R + 1], work[i, _R + 2]
@@ -229,6 +238,15 @@ def _solve(work, plant, count, vx, vy, vz, wx, wy, wz, dt):
             ux, uy, uz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
             gap = work[i, _GAP]
             allowed = -gap / dt if gap > 0.0 else -CORRECTION * gap / dt
+            if sweep < 0:
+                push = keep * work[i, _IMPULSE]
+                work[i, _IMPULSE], work[i, _IMPULSE + 1], work[i, _IMPULSE + 2] = push, 0.0, 0.0
+                fx, fy, fz = push * nx, push * ny, push * nz
+                vx, vy, vz = vx + inverse * fx, vy + inverse * fy, vz + inverse * fz
+                wx += (ry * fz - rz * fy) / jx
+                wy += (rz * fx - rx * fz) / jy
+                wz += (rx * fy - ry * fx) / jz
+                continue
             for friction in range(2):
                 px, py, pz = vx + wy * rz - wz * ry, vy + wz * rx - wx * rz, vz + wx * ry - wy * rx
                 if friction == 0:
@@ -249,10 +267,13 @@ def _solve(work, plant, count, vx, vy, vz, wx, wy, wz, dt):
                     push_t, push_u = new_t - old_t, new_u - old_u
                     fx, fy = push_t * tx + push_u * ux, push_t * ty + push_u * uy
                     fz = push_t * tz + push_u * uz
+                change += abs(fx) + abs(fy) + abs(fz)
                 vx, vy, vz = vx + inverse * fx, vy + inverse * fy, vz + inverse * fz
                 wx += (ry * fz - rz * fy) / jx
                 wy += (rz * fx - rx * fz) / jy
                 wz += (rx * fy - ry * fx) / jz
+        if sweep >= 0 and change * inverse < SETTLED:
+            break
     return vx, vy, vz, wx, wy, wz
 
 
@@ -278,7 +299,9 @@ def _respond(body, plant, scene, ground, dt, reach, work):
         )
         if touched < 0 and touches_ground(work):
             touched = ground
-    if count > 0:
+    if count == 0:
+        work[W_CACHE, W_LAST_CONTACTS] = 0.0
+    else:
         v, r = W_VEHICLE, S_ROTATION
         ux, uy, uz = body[B_VEL], body[B_VEL + 1], body[B_VEL + 2]
         vx = work[v, r] * ux + work[v, r + 3] * uy + work[v, r + 6] * uz
@@ -315,6 +338,7 @@ def resolve(body, plant, scene, ground, dt, work):
     sphere = VEHICLE_REACH + reach + dt * speed
     x, y, z = body[B_POS], body[B_POS + 1], body[B_POS + 2]
     if ground < 0 or z >= sphere:
+        work[W_CACHE, W_LAST_CONTACTS] = 0.0
         if still_clear(x, y, z, sphere, work):
             return NO_CONTACT
         if clear_of(scene, x, y, z, sphere, work):

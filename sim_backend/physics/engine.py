@@ -23,7 +23,7 @@ from crazyarena.sim_backend.physics.competition_step import (
 )
 from crazyarena.sim_backend.physics.contact import resolve
 from crazyarena.sim_backend.physics.fleet import downwash, vehicle_contacts
-from crazyarena.sim_backend.physics.geometry import NO_CONTACT, make_workspace
+from crazyarena.sim_backend.physics.geometry import NO_CONTACT, forget, make_workspace
 from crazyarena.sim_backend.physics.rigid_body import FULL_PLANT_SIZE, P_INERTIA, P_MASS, step
 from crazyarena.sim_backend.physics.scene import build_scene, ground_code
 
@@ -167,6 +167,8 @@ class NativeEngine:
     ) -> None:
         """See :meth:`Engine.reset`."""
         fill_bodies(self.bodies, positions, quaternions, velocities, rates)
+        for work in self._works:
+            forget(work)
         self.contacts[:] = NO_CONTACT
         self.partners[:] = -1
 

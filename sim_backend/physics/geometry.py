@@ -46,6 +46,7 @@ W_VEHICLE = np.int64(0)  # the vehicle as a shape
 W_OTHER = np.int64(1)  # a ray, or another vehicle, as a shape
 W_SIMPLEX = np.int64(2)
 W_CACHE = W_SIMPLEX + SIMPLEX_ROWS  # where clearance was last computed, and its value
+W_LAST_CONTACTS = 4  # column of W_CACHE: how many contacts the last step had
 W_CONTACTS = W_CACHE + 1
 MAX_CONTACTS = 12
 WORK_ROWS = W_CONTACTS + MAX_CONTACTS
@@ -79,8 +80,9 @@ def make_workspace() -> NDArray[np.float64]:
 
 @kernel
 def forget(work):
-    """Drop what ``work`` remembers; call it whenever the scene's rows were changed."""
+    """Drop what ``work`` remembers; call it after a change of the scene and at every reset."""
     work[W_CACHE, 3] = -1.0
+    work[W_CACHE, W_LAST_CONTACTS] = 0.0
 
 
 @kernel
