@@ -39,6 +39,8 @@ from crazyarena.sim_backend.physics import competition_step as cs
 from crazyarena.sim_backend.physics import geometry
 from crazyarena.sim_backend.physics.arena_plant import (
     AB_ACCELERATION,
+    AB_CONTACT,
+    AB_REST,
     AB_VOLTS,
     ARENA_BODY_SIZE,
     GRAVITY,
@@ -51,7 +53,7 @@ from crazyarena.sim_backend.physics.scene import (
     VEHICLE_HALF_LENGTH,
     ground_code,
 )
-from crazyarena.sim_backend.trace import TRACE_SIZE
+from crazyarena.sim_backend.trace import NO_CONTACT, TRACE_SIZE
 from crazyarena.types import Pose, Telemetry, VehicleState
 
 Array = NDArray[np.float64]
@@ -227,11 +229,12 @@ class ArenaFleet:
     # The world
 
     def set_scene(self, scene: Array) -> None:
-        """Change gates and obstacles."""
+        """Change gates and obstacles; vehicles stay where they are."""
         self._scene = np.ascontiguousarray(scene, dtype=np.float64)
         self._ground = ground_code(self._scene)
         for work in self._work:
             geometry.forget(work)
+        self.bodies[:, AB_REST] = 0.0  # what it lay on may be gone
 
     def place(self, vehicle: int, position: ArrayLike, yaw: float = 0.0) -> None:
         """Put a vehicle somewhere, level, at rest and with a full battery."""
@@ -241,6 +244,7 @@ class ArenaFleet:
         cs.set_pose(body, x, y, max(z, _REST_HEIGHT), 0.0, 0.0, yaw)
         body[AB_ACCELERATION + 2] = GRAVITY
         body[AB_VOLTS] = open_circuit_volts(0.0)
+        body[AB_CONTACT] = NO_CONTACT
         geometry.forget(self._work[vehicle])
 
     def reboot(self, vehicle: int) -> None:

@@ -34,11 +34,14 @@ from crazyarena.sim_backend.firmware.supervisor import SV_TUMBLED
 from crazyarena.sim_backend.jit import kernel
 from crazyarena.sim_backend.physics.arena_plant import (
     AB_ACCELERATION,
+    AB_CONTACT,
     AB_ROTOR,
     AB_VOLTS,
     GRAVITY,
     arena_step,
+    is_asleep,
     note_acceleration,
+    note_contact,
 )
 from crazyarena.sim_backend.physics.competition_step import (
     B_OMEGA,
@@ -118,7 +121,7 @@ def _arrived(queue, tick, memory):
 
 
 @kernel(_nrt=False)
-def _trace(row, time, body, memory, contact):
+def _trace(row, time, body, memory):
     update_rpy(body)
     row[TR_TIME] = time
     sp = memory[F_SETPOINT:F_CONTROL]
@@ -138,7 +141,7 @@ def _trace(row, time, body, memory, contact):
         x, y, z, w = sp[SP_QUAT], sp[SP_QUAT + 1], sp[SP_QUAT + 2], sp[SP_QUAT + 3]
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     row[TR_SETPOINT + 9] = yaw
-    row[TR_CONTACT] = contact
+    row[TR_CONTACT] = body[AB_CONTACT]
     row[TR_TUMBLED] = memory[F_SUPERVISOR + SV_TUMBLED]
 
 
@@ -204,9 +207,11 @@ def advance_fleet(
                 memory, param, trajectories[v], peer_tables[v], peers[v], faces[v], body[AB_VOLTS]
             )
 
-            vx, vy, vz = body[B_VEL], body[B_VEL + 1], body[B_VEL + 2]
-            arena_step(body, plant, memory[F_MOTORS:F_SUPPLY], fx, fy, fz, DT)
-            contact = resolve(body, plant, scene, ground, DT, works[v])
-            note_acceleration(body, vx, vy, vz, DT)
+            motors = memory[F_MOTORS:F_SUPPLY]
+            if not is_asleep(body, motors, fx, fy, fz):
+                vx, vy, vz = body[B_VEL], body[B_VEL + 1], body[B_VEL + 2]
+                arena_step(body, plant, motors, fx, fy, fz, DT)
+                note_contact(body, resolve(body, plant, scene, ground, DT, works[v]))
+                note_acceleration(body, vx, vy, vz, DT)
             if k < trace.shape[0]:
-                _trace(trace[k], time + (k + 1.0) * DT, body, memory, contact)
+                _trace(trace[k], time + (k + 1.0) * DT, body, memory)

@@ -14,7 +14,8 @@ import numpy as np
 
 from crazyarena.sim_backend.firmware.power import FULL_SCALE
 from crazyarena.sim_backend.jit import kernel
-from crazyarena.sim_backend.physics.competition_step import B_QUAT, B_VEL, BODY_SIZE
+from crazyarena.sim_backend.physics.competition_step import B_OMEGA, B_QUAT, B_VEL, BODY_SIZE
+from crazyarena.sim_backend.physics.geometry import NO_CONTACT
 from crazyarena.sim_backend.physics.rigid_body import (
     FULL_PLANT_SIZE,
     P_DRAG,
@@ -29,7 +30,9 @@ AB_ROTOR = BODY_SIZE  # root of the thrust of M1..M4, sqrt(N)
 AB_ACCELERATION = BODY_SIZE + 4  # m/s2, specific force, body axes
 AB_CHARGE = BODY_SIZE + 7  # A s drawn from the battery so far
 AB_VOLTS = BODY_SIZE + 8  # V, at the terminals
-ARENA_BODY_SIZE = BODY_SIZE + 9
+AB_CONTACT = BODY_SIZE + 9  # contact code of the last tick
+AB_REST = BODY_SIZE + 10  # ticks that the vehicle has lain still
+ARENA_BODY_SIZE = BODY_SIZE + 11
 
 # Plant row, after the rigid body's.
 AP_DRAG = P_DRAG  # kg/s, body x, y, z
@@ -45,6 +48,9 @@ ARENA_PLANT_SIZE = FULL_PLANT_SIZE + 9
 # what the firmware's compensation assumes; AP_STRENGTH sets them apart.
 _THRUST = (-0.024765379, 0.065237935, -0.026792505, 0.0067767893)
 
+_REST_TICKS = 100.0
+_REST_SPEED = 1e-4  # m/s, also sqrt(N) of a rotor
+_REST_ARM = 0.06  # m, turns a rate into a speed
 _FULL_VOLTS, _KNEE_VOLTS, _EMPTY_VOLTS = 4.2, 3.7, 3.0
 _KNEE = 0.85  # share of the charge drawn at the knee
 
@@ -106,6 +112,34 @@ def arena_step(body, plant, motors, fx, fy, fz, dt):
     f3 = body[AB_ROTOR + 2] * body[AB_ROTOR + 2]
     f4 = body[AB_ROTOR + 3] * body[AB_ROTOR + 3]
     step(body, plant, f4, f3, f2, f1, fx, fy, fz, 0.0, 0.0, 0.0, dt)
+
+
+@kernel(_nrt=False)
+def is_asleep(body, motors, fx, fy, fz):
+    """True for a vehicle that has come to rest on something: nothing moves it until a motor
+    turns or a force (N) acts, and a parked fleet then costs next to nothing."""
+    return (
+        body[AB_REST] >= _REST_TICKS
+        and motors[0] + motors[1] + motors[2] + motors[3] == 0.0
+        and fx == 0.0
+        and fy == 0.0
+        and fz == 0.0
+    )
+
+
+@kernel(_nrt=False)
+def note_contact(body, contact):
+    """Remember the contact code of a tick and whether the vehicle lay still in it."""
+    body[AB_CONTACT] = contact
+    moving = 0.0
+    for i in range(3):
+        moving = max(moving, abs(body[B_VEL + i]), _REST_ARM * abs(body[B_OMEGA + i]))
+    for i in range(4):
+        moving = max(moving, body[AB_ROTOR + i])
+    if contact != NO_CONTACT and moving < _REST_SPEED:
+        body[AB_REST] += 1.0
+    else:
+        body[AB_REST] = 0.0
 
 
 @kernel(_nrt=False)

@@ -11,7 +11,7 @@ from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
 from crazyarena.sim_backend.firmware import layout as la
 from crazyarena.sim_backend.firmware import stack_2026
 from crazyarena.sim_backend.firmware import supervisor as sv
-from crazyarena.sim_backend.physics.arena_plant import AB_VOLTS
+from crazyarena.sim_backend.physics.arena_plant import AB_REST, AB_VOLTS
 from crazyarena.sim_backend.physics.scene import build_scene, ground_code
 from crazyarena.sim_backend.trace import (
     NO_CONTACT,
@@ -256,6 +256,27 @@ def test_external_position_alone_is_enough_to_hover():
         fleet.external_position(0, fleet.bodies[0, :3])
         fleet.advance(10)
     assert np.abs(fleet.bodies[0, :3] - (0, 0, 1)).max() < 0.05
+
+
+def test_a_parked_vehicle_sleeps_and_wakes():
+    fleet = ready()
+    assert fleet.bodies[0, AB_REST] > 0
+    still = fleet.bodies[0].copy()
+    fly(fleet, 0.5)
+    np.testing.assert_array_equal(fleet.bodies[0], still)
+    fleet.send(c.Takeoff(0.5, 1.0), 0)
+    fly(fleet, 1.5)
+    assert fleet.bodies[0, 2] > 0.4
+
+
+def test_a_vehicle_falls_when_what_it_lay_on_is_taken_away():
+    gate = [[0, 0, 0, 0, 0, 0, 0]]
+    fleet = ArenaFleet([[0.0, 0.0, 1.3]], scene=build_scene(gate, []))
+    fleet.advance(2000)
+    assert fleet.bodies[0, 2] > 1.2
+    fleet.set_scene(build_scene([], []))
+    fleet.advance(1000)
+    assert fleet.bodies[0, 2] < 0.1
 
 
 def test_battery_sags_under_load_and_recovers():
