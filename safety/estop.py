@@ -1,0 +1,168 @@
+"""The emergency stop: one latch, many hands on it.
+
+:meth:`EmergencyStop.trigger` sends the firmware's emergency stop from the calling thread before
+it returns, past every queue, budget and lock of ours, and repeats it from a thread of its own.
+The watchdog sees the latch and stops feeding the vehicles' own watchdogs, so that a vehicle the
+packets do not reach stops by itself within a second.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from crazyarena.clock import Clock
+from crazyarena.crazyswarm_compat.commands import Command, Emergency
+from crazyarena.errors import InputError
+
+_REPEATS = 15  # as Crazyswarm2 does; the command is not acknowledged
+_INTERVAL = 0.02  # s, between repeats: a burst loss of 0.3 s does not swallow them all
+
+
+class CommandSink(Protocol):
+    """What an emergency stop needs of a vehicle link."""
+
+    def send(self, command: Command, vehicle: int | None = None) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Who stopped, why and when (s, session clock)."""
+
+    source: str
+    reason: str
+    time: float
+
+
+class EmergencyStop:
+    """Latch that stops every vehicle of the given links; there is no way back.
+
+    Parameters
+    ----------
+    links: backends themselves, not anything that checks or queues.
+    clock: session clock.
+    """
+
+    def __init__(self, links: list[CommandSink], clock: Clock) -> None:
+        self._links = list(links)
+        self._clock = clock
+        self._stop: Stop | None = None
+        self._listeners: list[Callable[[Stop], None]] = []
+        self._thread: threading.Thread | None = None
+        self._wake = threading.Event()
+        self.errors: list[str] = []
+        self.last_test: float | None = None
+
+    @property
+    def stopped(self) -> Stop | None:
+        """The first stop, or None."""
+        return self._stop
+
+    def on_stop(self, listener: Callable[[Stop], None]) -> None:
+        """Call ``listener`` at the first stop, in the triggering thread, after the sending."""
+        self._listeners.append(listener)
+
+    def trigger(self, source: str, reason: str = "") -> None:
+        """Stop. Never raises, never waits for another thread of ours."""
+        stop = Stop(source, reason, self._clock.now())
+        first = self._stop is None
+        if first:
+            self._stop = stop
+        self._send()
+        if not first:
+            return
+        for listener in self._listeners:
+            try:
+                listener(stop)
+            except Exception as error:  # a recorder that fails must not keep the motors on
+                self.errors.append(f"{type(error).__name__}: {error}")
+        self._thread = threading.Thread(target=self._repeat, name="estop", daemon=True)
+        # Without another thread the first packet has to be enough; the vehicle's own watchdog
+        # follows within a second.
+        with contextlib.suppress(RuntimeError):
+            self._thread.start()
+
+    def tested(self) -> None:
+        """Note that an operator tried a source in rehearsal mode (see the pre-flight checks)."""
+        self.last_test = self._clock.now()
+
+    def _send(self) -> None:
+        for link in self._links:
+            try:
+                link.send(Emergency(), None)
+            except Exception as error:
+                self.errors.append(f"{type(error).__name__}: {error}")
+
+    def _repeat(self) -> None:
+        for _ in range(_REPEATS):
+            if self._wake.wait(_INTERVAL):
+                return
+            self._send()
+
+    def close(self) -> None:
+        """Stop repeating; the latch stays."""
+        self._wake.set()
+        if self._thread is not None and self._thread.is_alive():
+            self._thread.join(timeout=0.5)
+
+
+class DeadMan:
+    """The operator must keep a key or button held; silence is letting go.
+
+    Sources call :meth:`held` at least every ``limits.dead_man`` s while it is down.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._last = -math.inf
+
+    def held(self) -> None:
+        """The key is down now."""
+        self._last = self._clock.now()
+
+    def released(self) -> None:
+        """The key was let go; no need to wait for the silence."""
+        self._last = -math.inf
+
+    def age(self) -> float:
+        """s since it was last held; inf if never."""
+        return self._clock.now() - self._last
+
+
+@contextlib.contextmanager
+def interrupt_policy(
+    land: Callable[[str], None], stop: Callable[[str, str], None]
+) -> Iterator[None]:
+    """Ctrl-C (or SIGTERM) lands; once more stops.
+
+    Only in the main thread, where Python delivers signals; the handlers of before come back.
+
+    Parameters
+    ----------
+    land: called with a reason at the first signal; must not block.
+    stop: called with (source, reason) at every further one.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        raise InputError("the policy for Ctrl-C can only be installed by the main thread")
+    count = 0
+
+    def handle(number: int, frame: Any) -> None:
+        nonlocal count
+        count += 1
+        name = signal.Signals(number).name
+        if count == 1:
+            land(name)
+        else:
+            stop("signal", name)
+
+    previous = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

@@ -1,0 +1,347 @@
+"""Where an emergency stop comes from: keyboard, gamepad, another shell, the network.
+
+Each source runs in a thread of its own and calls :meth:`EmergencyStop.trigger` from it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import socket
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from crazyarena.errors import DependencyMissing, InputError
+from crazyarena.mocap.zenoh_link import open_session
+from crazyarena.safety.estop import DeadMan, EmergencyStop
+from crazyarena.safety.estop_token import TokenCheck, make_message
+
+ZENOH_KEY = "crazyarena/estop"
+ZENOH_SESSION_KEY = "crazyarena/estop/session"
+
+_TICK = 0.1  # s, at which threads look whether they should end
+_STOP_KEYS = frozenset(" \r\n\x1bqQ")
+_HOLD_KEYS = frozenset("hH")
+
+
+def runtime_folder() -> Path:
+    """Folder of this user's stop sockets, made on demand, closed to others."""
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    folder = Path(base or tempfile.gettempdir()) / f"crazyarena-{os.getuid()}"
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    owner = folder.stat()
+    if owner.st_uid != os.getuid() or owner.st_mode & 0o077:
+        raise InputError(f"{folder}: belongs to somebody else or is open to others; remove it")
+    return folder
+
+
+class SocketSource:
+    """Listens for ``crazyarena estop`` from other shells of the same user.
+
+    The socket is a datagram socket in a folder only its owner can enter; whatever arrives is a
+    stop, except ``{"test": true}``, which is a rehearsal.
+    """
+
+    def __init__(self, stop: EmergencyStop, folder: Path | None = None) -> None:
+        self._stop = stop
+        self.path = (folder or runtime_folder()) / f"estop-{os.getpid()}-{id(self):x}.sock"
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(self.path))
+        self._socket.settimeout(_TICK)
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="estop-socket", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._closed.is_set():
+            try:
+                payload, sender = self._socket.recvfrom(2048)
+            except TimeoutError:
+                continue
+            except OSError:
+                return
+            fields: Any = None
+            with contextlib.suppress(ValueError):
+                fields = json.loads(payload)
+            if isinstance(fields, dict) and fields.get("test") is True:
+                self._stop.tested()
+                answer = b"tested"
+            else:
+                reason = fields.get("reason", "") if isinstance(fields, dict) else ""
+                self._stop.trigger("shell", str(reason))
+                answer = b"stopped"
+            if sender:
+                with contextlib.suppress(OSError):
+                    self._socket.sendto(answer, sender)
+
+    def close(self) -> None:
+        """Idempotent."""
+        self._closed.set()
+        self._thread.join(timeout=2 * _TICK + 0.5)
+        self._socket.close()
+        self.path.unlink(missing_ok=True)
+
+
+def stop_local(
+    reason: str = "", test: bool = False, folder: Path | None = None, timeout: float = 0.5
+) -> list[tuple[str, str]]:
+    """Stop every running session of this user.
+
+    Returns
+    -------
+    For each, the name of its socket and its answer: ``stopped``, ``tested`` or ``no answer``.
+    Sockets nobody listens on any more are removed.
+    """
+    folder = folder or runtime_folder()
+    payload = json.dumps({"test": True} if test else {"reason": reason}).encode()
+    answers = []
+    with tempfile.TemporaryDirectory(prefix="crazyarena-") as own:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+            sender.bind(str(Path(own) / "reply"))
+            sender.settimeout(timeout)
+            for path in sorted(folder.glob("estop-*.sock")):
+                try:
+                    sender.sendto(payload, str(path))
+                except (ConnectionRefusedError, FileNotFoundError):
+                    path.unlink(missing_ok=True)
+                    continue
+                except OSError as error:
+                    answers.append((path.name, f"not sent: {error.strerror}"))
+                    continue
+                try:
+                    answers.append((path.name, sender.recv(64).decode("utf-8", "replace")))
+                except TimeoutError:
+                    answers.append((path.name, "no answer"))
+    return answers
+
+
+class ZenohSource:
+    """Listens for stops on a zenoh key; says which session it is on another.
+
+    Parameters
+    ----------
+    check: with a secret, what bears no valid token is refused and counted.
+    connect, listen: zenoh endpoints, see :func:`crazyarena.mocap.zenoh_link.open_session`.
+    """
+
+    def __init__(
+        self,
+        stop: EmergencyStop,
+        check: TokenCheck,
+        connect: Sequence[str] = (),
+        listen: Sequence[str] = (),
+        key: str = ZENOH_KEY,
+    ) -> None:
+        self._stop = stop
+        self.check = check
+        self._session = open_session(connect, listen)
+        import zenoh
+
+        handler = zenoh.handlers.Callback(self._receive, indirect=False)
+        self._subscriber = self._session.declare_subscriber(key, handler)
+        self._queryable = self._session.declare_queryable(f"{key}/session", self._answer)
+
+    def _receive(self, sample: Any) -> None:
+        reason = self.check.accept(sample.payload.to_bytes())
+        if reason is not None:
+            self._stop.trigger("zenoh", reason)
+
+    def _answer(self, query: Any) -> None:
+        query.reply(query.key_expr, self.check.session)
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._subscriber.undeclare()
+        self._queryable.undeclare()
+        self._session.close()
+
+
+def stop_over_zenoh(
+    secret: bytes | None,
+    reason: str = "",
+    connect: Sequence[str] = (),
+    key: str = ZENOH_KEY,
+    patience: float = 1.0,
+) -> list[str]:
+    """Send a stop to every session on the network; returns the sessions that were found.
+
+    Sent at once for whoever needs no session name, and again to each session that answers
+    within ``patience`` s.
+    """
+    session = open_session(connect)
+    try:
+        import zenoh
+
+        publisher = session.declare_publisher(
+            key,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=zenoh.Priority.REAL_TIME,
+            express=True,
+            reliability=zenoh.Reliability.RELIABLE,
+        )
+        found: list[str] = []
+        deadline = _Deadline(patience)
+        publisher.put(make_message(secret, reason))
+        while not found and deadline.left() > 0.0:
+            # The network of peers takes a moment to form; the question is repeated until then.
+            for reply in session.get(f"{key}/session", timeout=min(0.3, deadline.left() + 0.05)):
+                if reply.ok is not None:
+                    found.append(reply.ok.payload.to_string())
+            publisher.put(make_message(secret, reason))
+        for name in found:
+            publisher.put(make_message(secret, reason, name))
+        deadline.wait(0.05)
+        return found
+    finally:
+        session.close()
+
+
+class _Deadline:
+    """Time left of a wait, on the monotonic clock."""
+
+    def __init__(self, seconds: float) -> None:
+        from crazyarena.clock import WallClock
+
+        self._clock = WallClock()
+        self._end = self._clock.now() + seconds
+
+    def left(self) -> float:
+        return max(0.0, self._end - self._clock.now())
+
+    def wait(self, seconds: float) -> None:
+        self._clock.sleep_until(self._clock.now() + seconds)
+
+
+class KeyboardSource:
+    """Space, Enter, Escape or q in the terminal stops; h, held, is the dead-man's key.
+
+    Parameters
+    ----------
+    stream: a terminal's file descriptor; standard input by default.
+    """
+
+    def __init__(
+        self, stop: EmergencyStop, dead_man: DeadMan | None = None, stream: int | None = None
+    ) -> None:
+        self._stop = stop
+        self._dead_man = dead_man
+        self._stream = sys.stdin.fileno() if stream is None else stream
+        if not os.isatty(self._stream):
+            raise InputError("emergency stop by keyboard: standard input is no terminal")
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="estop-keyboard", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        with _single_keys(self._stream):
+            while not self._closed.is_set():
+                ready, _, _ = select.select([self._stream], [], [], _TICK)
+                if not ready:
+                    continue
+                try:
+                    keys = os.read(self._stream, 64).decode("utf-8", "replace")
+                except OSError:
+                    return
+                if not keys:
+                    return
+                if any(key in _STOP_KEYS for key in keys):
+                    self._stop.trigger("keyboard", "key pressed")
+                elif self._dead_man is not None and any(key in _HOLD_KEYS for key in keys):
+                    self._dead_man.held()
+
+    def close(self) -> None:
+        """Idempotent; the terminal is as before."""
+        self._closed.set()
+        self._thread.join(timeout=2 * _TICK + 0.5)
+
+
+@contextlib.contextmanager
+def _single_keys(stream: int) -> Iterator[None]:
+    """Keys one by one and unseen; Ctrl-C stays a signal."""
+    import termios
+    import tty
+
+    before = termios.tcgetattr(stream)
+    tty.setcbreak(stream)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(stream, termios.TCSADRAIN, before)
+
+
+class GamepadSource:
+    """A gamepad's button stops; another, held, is the dead-man's.
+
+    Losing the gamepad counts as letting go of the dead-man's button, and as nothing else.
+
+    Parameters
+    ----------
+    device: anything with ``fd`` and ``read()`` like ``evdev.InputDevice``; by default the first
+        gamepad found.
+    stop_button, hold_button: codes of linux/input-event-codes.h; 0x131 is the right one of the
+        four (B), 0x136 the left shoulder.
+    """
+
+    def __init__(
+        self,
+        stop: EmergencyStop,
+        dead_man: DeadMan | None = None,
+        device: Any = None,
+        stop_button: int = 0x131,
+        hold_button: int = 0x136,
+    ) -> None:
+        self._stop = stop
+        self._dead_man = dead_man
+        self._device = device if device is not None else _first_gamepad(stop_button)
+        self._stop_button = stop_button
+        self._hold_button = hold_button
+        self._held = False
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="estop-gamepad", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._closed.is_set():
+            try:
+                ready, _, _ = select.select([self._device.fd], [], [], _TICK)
+                events = list(self._device.read()) if ready else []
+            except OSError:
+                if self._dead_man is not None:
+                    self._dead_man.released()
+                return
+            for event in events:
+                self._take(event)
+            if self._held and self._dead_man is not None:
+                self._dead_man.held()
+
+    def _take(self, event: Any) -> None:
+        is_key = event.type == 1  # EV_KEY
+        if is_key and event.code == self._stop_button and event.value:
+            self._stop.trigger("gamepad", f"button {event.code:#x}")
+        elif is_key and event.code == self._hold_button:
+            self._held = bool(event.value)
+            if not self._held and self._dead_man is not None:
+                self._dead_man.released()
+
+    def close(self) -> None:
+        """Idempotent."""
+        self._closed.set()
+        self._thread.join(timeout=2 * _TICK + 0.5)
+
+
+def _first_gamepad(button: int, list_devices: Callable[[], Sequence[str]] | None = None) -> Any:
+    try:
+        import evdev
+    except ImportError:
+        raise DependencyMissing("evdev", "gamepad", "emergency stop by gamepad") from None
+    for path in (list_devices or evdev.list_devices)():
+        device = evdev.InputDevice(path)
+        if button in device.capabilities().get(1, []):
+            return device
+    raise InputError(f"no gamepad with button {button:#x} found; is it plugged in and readable?")

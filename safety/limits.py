@@ -1,0 +1,128 @@
+"""Every threshold of the watchdog and the command gate, with its reason."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, fields
+
+from crazyarena.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Thresholds in SI units; ``*_time`` are how long something must last before it counts.
+
+    Attributes
+    ----------
+    braking: deceleration, m/s2, that the vehicle is trusted with.
+    reaction: time, s, until a command to brake has become deceleration: cameras, radio, and
+        the attitude the vehicle has to take first.
+    outer_margin: m beyond the hard fence at which motors are cut (the second fence).
+    max_speed: m/s, of the vehicle; the gate lets setpoints ask for ``setpoint_speed``.
+    max_tilt, tumble_tilt: rad.
+    pose_warn, pose_hold, pose_land, pose_cut: age of the last good pose, s.
+    bad_pose_time: how long the cameras may deliver poses that are not believed, s.
+    disagreement: m between cameras and the vehicle's own estimate.
+    link_warn, link_hold, link_cut: silence of the vehicle, s.
+    quality_warn, quality_land: share of acknowledged packets.
+    battery_warn, battery_land: V, under load.
+    following, following_land: m between the vehicle and what it was told.
+    lost_control: the same while the watchdog flies; then motors are cut.
+    controller_warn, controller_hold: s since the contestant's last answer; setpoints that stay
+        away longer than 0.5 s would make the firmware level out.
+    late_warn, late_hold: lateness of a control step, s.
+    clock_step: s, between two clocks that should run alike.
+    people_distance: m between a vehicle and a person, horizontally, at which motors are cut.
+    dead_man: s since the operator last held the key.
+    hold_time: s, from HOLD to LAND.
+    land_time: s, within which a landing must be over.
+    inside: m, how far inside the fence the watchdog holds and lands.
+    return_speed, descent: m/s, of the watchdog's own flight; blind_descent without poses.
+    setpoint_speed, setpoint_acceleration: m/s, m/s2, what the gate lets pass.
+    setpoint_step: m, by which a streamed position may be ahead of what speed allows.
+    setpoint_tilt: rad, of attitude setpoints.
+    allow_attitude: attitude setpoints are let through at all; no fence can clamp them.
+    command_rate, command_burst: commands per second, and how many at once.
+    link_loss_time: s; setpoints towards the fence are slowed so far that it would take this
+        long to get there, because a vehicle that hears nothing more keeps its last setpoint.
+        0 for off: racing needs speed near walls, and run-off behind them.
+    """
+
+    braking: float = 6.0
+    reaction: float = 0.15
+    outer_margin: float = 0.5
+    max_speed: float = 3.5
+    speed_time: float = 0.1
+    max_tilt: float = 1.2
+    tilt_time: float = 0.15
+    tumble_tilt: float = 1.75
+    tumble_time: float = 0.05
+    pose_warn: float = 0.08
+    pose_hold: float = 0.15
+    pose_land: float = 0.5
+    pose_cut: float = 3.5
+    bad_pose_time: float = 0.1
+    disagreement: float = 0.4
+    disagreement_time: float = 0.2
+    link_warn: float = 0.3
+    link_hold: float = 0.5
+    link_cut: float = 1.0
+    quality_warn: float = 0.7
+    quality_land: float = 0.3
+    quality_time: float = 1.0
+    battery_warn: float = 3.2
+    battery_land: float = 3.0
+    battery_time: float = 1.0
+    following: float = 0.5
+    following_time: float = 0.3
+    following_land: float = 1.0
+    lost_control: float = 0.6
+    lost_control_time: float = 0.5
+    controller_warn: float = 0.15
+    controller_hold: float = 0.4
+    late_warn: float = 0.03
+    late_hold: float = 0.25
+    clock_step: float = 0.05
+    people_distance: float = 1.0
+    dead_man: float = 0.5
+    hold_time: float = 1.0
+    land_time: float = 8.0
+    inside: float = 0.2
+    return_speed: float = 0.5
+    descent: float = 0.5
+    blind_descent: float = 0.8
+    setpoint_speed: float = 3.0
+    setpoint_acceleration: float = 12.0
+    setpoint_step: float = 0.3
+    setpoint_tilt: float = 0.6
+    allow_attitude: bool = False
+    command_rate: float = 200.0
+    command_burst: float = 60.0
+    link_loss_time: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name == "allow_attitude":
+                continue
+            least = field.name == "link_loss_time"
+            if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not least):
+                raise InputError(f"safety limit {field.name}: found {value!r}; need a number > 0")
+        self._ordered("pose_warn", "pose_hold", "pose_land", "pose_cut")
+        self._ordered("link_warn", "link_hold", "link_cut")
+        self._ordered("controller_warn", "controller_hold")
+        self._ordered("late_warn", "late_hold")
+        self._ordered("quality_land", "quality_warn")
+        self._ordered("battery_land", "battery_warn")
+        self._ordered("following", "following_land")
+        self._ordered("max_tilt", "tumble_tilt")
+        self._ordered("setpoint_speed", "max_speed")
+
+    def _ordered(self, *names: str) -> None:
+        values = [getattr(self, name) for name in names]
+        if any(a >= b for a, b in itertools.pairwise(values)):
+            raise InputError(
+                f"safety limits {', '.join(names)}: found {values}; each must be above the one "
+                "before it"
+            )

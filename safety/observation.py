@@ -1,0 +1,84 @@
+"""Everything the monitors look at, as plain numbers, at one moment."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+GRAVITY = 9.81
+
+Point = tuple[float, float, float]
+NOWHERE: Point = (math.nan, math.nan, math.nan)
+
+
+@dataclass(slots=True)
+class Observation:
+    """State and flags of one vehicle; ``None`` is "nobody has told", and trips no monitor.
+
+    Attributes
+    ----------
+    time: s, session clock.
+    active: a trial is on; the vehicle has been given a command that makes it fly.
+    airborne: off the ground, as far as anybody knows.
+    position, velocity: m, m/s, world; None when neither cameras nor vehicle know.
+    quaternion: x, y, z, w.
+    pose_age: s since the capture of the last believed pose; inf before the first.
+    doubted: s for which poses have arrived that were not believed (0 while they are).
+    swapped: this frame's bodies had exchanged names.
+    onboard: the vehicle's own estimate of its position, if it is recent.
+    link_age: s since the vehicle was last heard.
+    setpoint: position the vehicle was last told to be at now, m.
+    controller_age: s since the contestant last answered or refreshed its streamed setpoint.
+    lateness: of the last control step, s.
+    clock_error: s by which two clocks that should run alike have drifted apart.
+    dead_man_age: s since the operator last held the key; None when there is none to hold.
+    person_distance: m to the nearest person, horizontally; person_depth: how far the one
+        deepest inside the fence is inside, m (negative: all outside).
+    strangers: bodies seen that nobody has named.
+    """
+
+    time: float
+    active: bool = False
+    airborne: bool = False
+    position: Point | None = None
+    velocity: Point = (0.0, 0.0, 0.0)
+    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    pose_age: float = 0.0
+    doubted: float = 0.0
+    swapped: bool = False
+    onboard: Point | None = None
+    link_age: float | None = None
+    link_quality: float | None = None
+    battery: float | None = None
+    supervisor: int | None = None
+    setpoint: Point | None = None
+    controller_age: float | None = None
+    lateness: float | None = None
+    clock_error: float | None = None
+    dead_man_age: float | None = None
+    person_distance: float | None = None
+    person_depth: float | None = None
+    strangers: int = 0
+
+    @property
+    def upright(self) -> float:
+        """Cosine of the tilt."""
+        x, y, _, _ = self.quaternion
+        return 1.0 - 2.0 * (x * x + y * y)
+
+    @property
+    def yaw(self) -> float:
+        """rad."""
+        x, y, z, w = self.quaternion
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+    def horizontal_acceleration(self, limit: float) -> tuple[float, float]:
+        """What the attitude makes of gravity, m/s2, if the height is kept; at most ``limit``."""
+        x, y, z, w = self.quaternion
+        up = max(self.upright, 0.3)
+        ax = GRAVITY * 2.0 * (x * z + w * y) / up
+        ay = GRAVITY * 2.0 * (y * z - w * x) / up
+        size = math.hypot(ax, ay)
+        if size > limit:
+            ax, ay = ax * limit / size, ay * limit / size
+        return ax, ay

@@ -1,0 +1,156 @@
+"""What the watchdog flies once it has taken over: brake, hold, come back inside, land.
+
+Pure: commands follow from the time, the action and the observations. Setpoints are streamed and
+each stands for itself, so that a lost one costs nothing. The descent goes on to below the
+ground, so that a wrong height does not keep the motors running.
+"""
+
+from __future__ import annotations
+
+import math
+
+from crazyarena.crazyswarm_compat.commands import Command, CutMotors, Emergency, FullState
+from crazyarena.errors import InputError
+from crazyarena.safety.events import Action
+from crazyarena.safety.fence import Fence
+from crazyarena.safety.limits import Limits
+from crazyarena.safety.observation import Observation, Point
+
+_PERIOD = 0.0095  # s, at least, between setpoints: every frame of a 100 Hz camera system
+_EMERGENCY_REPEATS = 15
+_BELOW_GROUND = 0.3  # m, where the descent ends
+_TOUCHDOWN = 0.06  # m above where it stood: counts as down
+_STILL = 0.25  # m/s
+_REST_TIME = 0.3  # s of touching down until the motors are stopped
+_STOP_TIME = 0.5  # s for which the stop is repeated
+
+
+class SafePilot:
+    """Flies one vehicle of which the watchdog has taken control.
+
+    Parameters
+    ----------
+    ground: m, height of the vehicle's centre when it stands.
+    """
+
+    def __init__(self, fence: Fence, limits: Limits, ground: float = 0.03) -> None:
+        self._fence = fence
+        self._limits = limits
+        self.ground = ground
+        self._begun = -math.inf
+        self._brake: tuple[Point, Point, float] | None = None
+        self._place: Point = (0.0, 0.0, 0.0)
+        self._target: Point = (0.0, 0.0, 0.0)
+        self._yaw = 0.0
+        self._descending = False
+        self._moved = -math.inf
+        self._sent = -math.inf
+        self._touched: float | None = None
+        self._stopping: float | None = None
+        self._emergencies = 0
+        self.reference: Point | None = None
+        self.landed = False
+
+    def update(self, action: Action, obs: Observation) -> list[Command]:
+        """Commands for now; ``reference`` is where the vehicle should be, ``landed`` is set when
+        it is down and its motors are stopped."""
+        if action is Action.CUT:
+            self.reference = None
+            if self._emergencies < _EMERGENCY_REPEATS:
+                self._emergencies += 1
+                return [Emergency()]
+            return []
+        if not action.takes_over or self.landed:
+            return []
+        if self._begun == -math.inf:
+            self._begin(obs)
+        if obs.time - self._sent < _PERIOD:
+            return []
+        self._sent = obs.time
+        if self._stopping is not None or self._is_down(action, obs):
+            if self._stopping is None:
+                self._stopping = obs.time
+            self.reference = None
+            self.landed = obs.time - self._stopping >= _STOP_TIME
+            return [CutMotors()]
+        return [self._fly(action, obs)]
+
+    def _begin(self, obs: Observation) -> None:
+        self._begun = self._moved = obs.time
+        self._yaw = obs.yaw if math.isfinite(obs.yaw) else 0.0
+        if obs.position is None:
+            # Nobody knows where it is: level it at the setpoint it had, and land from there.
+            self._place = self._target = obs.setpoint or (0.0, 0.0, self.ground + 0.5)
+            return
+        speed = math.hypot(*obs.velocity)
+        deceleration = self._limits.braking
+        time = speed / deceleration
+        (x, y, z), (vx, vy, vz) = obs.position, obs.velocity
+        self._brake = (obs.position, obs.velocity, time)
+        rest = (x + 0.5 * vx * time, y + 0.5 * vy * time, z + 0.5 * vz * time)
+        rest = (rest[0], rest[1], max(rest[2], self.ground + 0.1))
+        self._place = rest
+        try:
+            self._target = self._fence.nearest(rest, self._limits.inside, obs.position)
+        except InputError:
+            self._target = rest
+
+    def _is_down(self, action: Action, obs: Observation) -> bool:
+        if not obs.airborne:
+            return True
+        if obs.position is None:
+            # Blind: the reference says when it must be down.
+            return self._descending and self._place[2] <= self.ground - _BELOW_GROUND
+        low = obs.position[2] <= self.ground + _TOUCHDOWN
+        # A reference this far below a vehicle that no longer moves: it stands on something.
+        low = low or (self._descending and self._place[2] <= obs.position[2] - 0.5)
+        if not (low and action is Action.LAND and abs(obs.velocity[2]) < _STILL):
+            self._touched = None
+            return False
+        if self._touched is None:
+            self._touched = obs.time
+        return obs.time - self._touched >= _REST_TIME
+
+    def _fly(self, action: Action, obs: Observation) -> FullState:
+        elapsed = obs.time - self._begun
+        if self._brake is not None and elapsed < self._brake[2]:
+            (x, y, z), (vx, vy, vz), time = self._brake
+            left = 1.0 - elapsed / time
+            gone = elapsed * (1.0 - 0.5 * elapsed / time)
+            place = (x + vx * gone, y + vy * gone, max(z + vz * gone, self.ground + 0.05))
+            self.reference = place
+            return FullState(
+                position=place,
+                velocity=(vx * left, vy * left, vz * left),
+                acceleration=(-vx / time, -vy / time, -vz / time),
+                yaw=self._yaw,
+                omega=(0.0, 0.0, 0.0),
+            )
+        dt = obs.time - max(self._moved, self._begun)
+        self._moved = obs.time
+        velocity = self._advance(action, obs, dt)
+        self.reference = self._place
+        return FullState(self._place, velocity, (0.0, 0.0, 0.0), self._yaw, (0.0, 0.0, 0.0))
+
+    def _advance(self, action: Action, obs: Observation, dt: float) -> Point:
+        """Move the place to be at for ``dt`` s; returns its velocity."""
+        x, y, z = self._place
+        tx, ty, tz = self._target
+        dx, dy, dz = tx - x, ty - y, tz - z
+        away = math.sqrt(dx * dx + dy * dy + (0.0 if self._descending else dz * dz))
+        step = self._limits.return_speed * dt
+        share = 1.0 if away <= step or away < 1e-9 else step / away
+        vx, vy, vz = (
+            (0.0, 0.0, 0.0) if dt <= 0.0 else (dx * share / dt, dy * share / dt, dz * share / dt)
+        )
+        blind = obs.pose_age > self._limits.pose_hold
+        # Without poses the vehicle drifts: being down soon matters more than where.
+        if action is Action.LAND and (blind or away < 0.1):
+            self._descending = True
+        if self._descending:
+            vz = -(self._limits.blind_descent if blind else self._limits.descent)
+            lowest = self.ground - 2.0 * _BELOW_GROUND
+            if z + vz * dt < lowest:
+                vz = min(0.0, (lowest - z) / dt) if dt > 0.0 else 0.0
+        self._place = (x + vx * dt, y + vy * dt, z + vz * dt)
+        return vx, vy, vz
