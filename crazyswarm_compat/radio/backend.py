@@ -204,8 +204,19 @@ class RadioBackend:
         if self._closed:
             return
         self._closed = True
-        with ThreadPoolExecutor(len(self._links), thread_name_prefix="close") as pool:
-            list(pool.map(VehicleLink.close, self._links.values()))
+        closers = [
+            threading.Thread(target=link.close, name=f"close-{link.name}")
+            for link in self._links.values()
+        ]
+        for closer in closers:
+            try:
+                closer.start()
+            except RuntimeError:
+                # At the end of the interpreter there are no new threads.
+                closer.run()
+        for closer in closers:
+            if closer.ident is not None:
+                closer.join()
         self._events.close()
 
     # Beyond the common interface
