@@ -220,8 +220,13 @@ class ExactTimeHelper(TimeHelper):
 
 def make_time_helper(parsed: Any, vis: Any, kind: type[TimeHelper]) -> TimeHelper:
     """Time helper of class ``kind`` for parsed simulation flags."""
-    if parsed.disturbance > 0 and parsed.backend != "ideal":
-        warn(f"--disturbance only acts on --backend ideal, not on {parsed.backend}")
+    if parsed.backend != "ideal":
+        for flag, given in (
+            ("disturbance", parsed.disturbance > 0),
+            ("maxvel", math.isfinite(parsed.maxvel)),
+        ):
+            if given:
+                warn(f"--{flag} only acts on --backend ideal, not on {parsed.backend}")
     return kind(
         vis,
         parsed.dt,

@@ -110,8 +110,9 @@ class VisMatplotlib(VisNull):
     def render(self) -> NDArray[np.uint8]:
         if self._stale:
             self._draw()
-        self._figure.canvas.draw()
-        return np.asarray(self._figure.canvas.buffer_rgba())[..., :3].copy()
+        canvas: Any = self._figure.canvas
+        canvas.draw()
+        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
 class VisViser(VisNull):
@@ -140,7 +141,7 @@ class VisViser(VisNull):
         for cf in crazyflies:
             name = f"/cf{cf.id}"
             if name not in self._handles:
-                color = tuple(int(255 * part) for part in cf.ledRGB)
+                color = np.array([int(255 * part) for part in cf.ledRGB])
                 self._handles[name] = scene.add_icosphere(name, radius=0.05, color=color)
             self._handles[name].position = tuple(cf.position())
             if self._radii is not None:

@@ -144,7 +144,7 @@ class TestCrazyswarm1:
             config.load_crazyflies_1(tmp_path / "none.yaml")
 
     def test_too_few_markers(self):
-        with pytest.raises(InputError, match="markerConfigurations.0.points: .* 3 points"):
+        with pytest.raises(InputError, match=r"markerConfigurations\.0\.points: .* 3 points"):
             config.load_types_1(TYPES.replace("numPoints: 2", "numPoints: 3"))
 
     @given(st.text(alphabet=string.printable, max_size=200))
