@@ -19,6 +19,9 @@ from crazyarena.mocap import estimator_kernels as kernels
 from crazyarena.mocap.events import EventKind, MocapEvent
 from crazyarena.types import Pose, PoseFrame, VehicleState
 
+# Capture times may seem to lie this far ahead by errors of clock conversion, s.
+_CLOCK_SLACK = 1e-3
+
 
 class Freshness(StrEnum):
     """How far an estimate may be trusted."""
@@ -167,6 +170,12 @@ class PoseEstimator:
 
     def update(self, frame: PoseFrame) -> FrameResult:
         """Take one frame; bodies nobody asked for are ignored."""
+        if not frame.timestamp <= frame.received + _CLOCK_SLACK:
+            # Believed, it would make every body look long unseen.
+            self.rejected += 1
+            message = f"frame {frame.frame_id} claims a capture time after its arrival; not used"
+            event = MocapEvent(frame.received, EventKind.BAD_FRAME, None, message)
+            return FrameResult({}, (event,))
         poses = self._poses
         seen = self._seen
         bodies = frame.bodies

@@ -147,6 +147,13 @@ def _between(ax, ay, az, aw, bx, by, bz, bw):
 
 
 @_njit
+def _is_unit(pose):
+    """False for quaternions of the wrong length, and for NaN."""
+    squared = pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6]
+    return abs(squared - 1.0) <= 0.01
+
+
+@_njit
 def _forecast_attitude(row, dt):
     half = 0.5 * dt * dt
     return _turned(
@@ -205,7 +212,8 @@ def _absorb(row, pose, time, settings):
     row[TIME] = time
     row[POSITION_SEEN] = time
     row[CANDIDATES] = 0.0
-    if math.sqrt(ex * ex + ey * ey + ez * ez) > min(gate, settings[FLIP_LIMIT]):
+    turn = math.sqrt(ex * ex + ey * ey + ez * ez)
+    if not (turn <= min(gate, settings[FLIP_LIMIT]) and _is_unit(pose)):
         if age > settings[STALE_AFTER]:
             # Nobody knows the rates any more; turning on would only lead astray.
             for i in range(3):
@@ -269,7 +277,7 @@ def _start(row, pose, time, settings):
 def _offer(row, pose, time, settings):
     """Count a measurement that was not accepted; True when enough of them agree."""
     upright = 1.0 - 2.0 * (pose[3] * pose[3] + pose[4] * pose[4])
-    if upright < settings[MIN_UPRIGHT]:
+    if upright < settings[MIN_UPRIGHT] or not _is_unit(pose):
         row[CANDIDATES] = 0.0
         return False
     agrees = False

@@ -13,6 +13,7 @@ class EventKind(StrEnum):
     SOURCE_STALE = "source_stale"
     SOURCE_RECONNECTED = "source_reconnected"
     FRAMES_LOST = "frames_lost"
+    BAD_FRAME = "bad_frame"
     BODY_TRACKED = "body_tracked"
     BODY_STALE = "body_stale"
     BODY_RECOVERED = "body_recovered"

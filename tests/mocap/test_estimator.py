@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from crazyarena.clock import VirtualClock
 from crazyarena.errors import InputError
@@ -257,6 +259,35 @@ def test_outliers_of_the_camera_model_never_reach_vehicle_or_referee():
     offered = {id(pose) for _, accepted in captured for pose in accepted.values()}
     assert len(sent) > 2000
     assert all(id(pose) in offered for _, poses in sent for pose in poses.values())
+
+
+numbers = st.one_of(
+    st.floats(-3, 3), st.sampled_from([0.0, 1.0, float("nan"), float("inf"), 1e300, 1e-300])
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(numbers, min_size=7, max_size=7),
+    st.one_of(st.floats(-1, 3), st.sampled_from([float("nan"), float("inf"), 1e12])),
+)
+def test_garbage_in_one_frame_neither_passes_nor_stays(values, time):
+    flights = Flights(2, seed=2)
+    estimator = tracked(flights)
+    garbage = Pose(np.array(values[:3]), np.array(values[3:]))
+    truth = flights(1.0)["cf1"]
+    result = estimator.update(PoseFrame(time, 1.0, 100, {"cf1": garbage}))
+    if "cf1" in result.accepted:
+        assert np.linalg.norm(garbage.position - truth.position) < 0.5
+        assert abs(np.linalg.norm(garbage.quaternion) - 1) < 0.01
+        assert angle_between(garbage.quaternion, truth.quaternion) < 2.3
+    else:
+        for frame in frames_of(flights, 2, 101):
+            assert set(estimator.update(frame).accepted) == {"cf1", "cf2"}
+        assert worst_error(estimator, flights, 1.02) < 0.01
+    state = estimator.estimate("cf1", 1.05).state
+    for numbers_out in (state.position, state.velocity, state.quaternion, state.angular_velocity):
+        assert np.isfinite(numbers_out).all()
 
 
 @pytest.mark.parametrize(
