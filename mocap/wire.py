@@ -29,6 +29,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -63,6 +64,7 @@ class WireFrame:
     markers: Vector
 
 
+@lru_cache(maxsize=64)
 def encode_names(names: tuple[str, ...]) -> bytes:
     """Return the name table; raises PayloadError for a name that is empty or too long."""
     table = bytearray()
@@ -119,7 +121,9 @@ def encode(
     return payload + _CHECKSUM.pack(zlib.crc32(payload))
 
 
-def _decode_names(table: bytes, count: int) -> list[str]:
+# Names stay the same from frame to frame.
+@lru_cache(maxsize=64)
+def _decode_names(table: bytes, count: int) -> tuple[str, ...]:
     names = []
     at = 0
     for _ in range(count):
@@ -138,7 +142,7 @@ def _decode_names(table: bytes, count: int) -> list[str]:
         raise PayloadError(f"{len(table) - at} bytes after the last name")
     if len(set(names)) != count:
         raise PayloadError("a body name occurs twice")
-    return names
+    return tuple(names)
 
 
 def decode(payload: bytes) -> WireFrame:
