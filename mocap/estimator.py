@@ -51,6 +51,8 @@ class EstimatorConfig:
     confirm_frames: consecutive consistent measurements that start or restart a track.
     max_tilt: a track never starts further from upright than this, rad; pi to allow anything.
     correct_swaps: give measurements back to the body they continue when names are mixed up.
+    frozen_after: time, s, after which a pose that does not change by a bit counts as not seen;
+        None to allow it (noise-free simulation). Real cameras always tremble.
     """
 
     position_std: float = 0.0007
@@ -68,11 +70,14 @@ class EstimatorConfig:
     confirm_frames: int = 3
     max_tilt: float = 1.6
     correct_swaps: bool = True
+    frozen_after: float | None = None
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
-            if not (value > 0 or name == "correct_swaps") or not math.isfinite(value):
+            if name == "correct_swaps" or (name == "frozen_after" and value is None):
+                continue
+            if not (value > 0 and math.isfinite(value)):
                 raise InputError(f"estimator {name}: found {value!r}; need a number above 0")
         if self.confirm_frames < 2:
             raise InputError(
@@ -98,6 +103,8 @@ class EstimatorConfig:
         settings[kernels.CANDIDATE_GATE] = 0.03
         settings[kernels.CANDIDATE_SPEED] = 5.0
         settings[kernels.MIN_UPRIGHT] = math.cos(min(self.max_tilt, math.pi))
+        frozen_after = math.inf if self.frozen_after is None else self.frozen_after
+        settings[kernels.FROZEN_AFTER] = frozen_after
         settings[kernels.CORRECT_SWAPS] = float(self.correct_swaps)
         return settings
 
@@ -239,6 +246,11 @@ class PoseEstimator:
             if self._disturbed[i] != outcome:
                 self._disturbed[i] = outcome
                 tell(EventKind.JUMP_REJECTED, f"{name} jumped; its pose is not used")
+        if outcome == kernels.FROZEN:
+            self.rejected += 1
+            if self._disturbed[i] != outcome:
+                self._disturbed[i] = outcome
+                tell(EventKind.BODY_FROZEN, f"pose of {name} does not change by a bit; not used")
         if outcome == kernels.FLIP:
             self.rejected += 1
             if self._disturbed[i] != outcome:

@@ -34,7 +34,9 @@ CANDIDATE_TIME = 43
 CANDIDATE_FIRST = 44  # position of the first of them
 CANDIDATE_FIRST_TIME = 47
 CANDIDATE_FIRST_QUATERNION = 48
-WIDTH = 52
+MEASURED = 52  # last measurement of any worth, to notice frozen ones
+CHANGED = 59  # time at which it last differed from the one before
+WIDTH = 60
 
 # Values of STATUS.
 NEVER = 0.0
@@ -58,7 +60,8 @@ CANDIDATE_GATE = 12
 CANDIDATE_SPEED = 13
 MIN_UPRIGHT = 14
 CORRECT_SWAPS = 15
-SETTINGS = 16
+FROZEN_AFTER = 16
+SETTINGS = 17
 
 # What became of a body in one frame.
 ABSENT = 0
@@ -68,6 +71,7 @@ FLIP = 3
 ACQUIRED = 4
 PENDING = 5
 OLD = 6
+FROZEN = 7
 
 _njit = numba.njit(cache=True, nogil=True, error_model="numpy")
 
@@ -312,6 +316,19 @@ def _offer(row, pose, time, settings):
 
 
 @_njit
+def _is_frozen(row, pose, time, settings):
+    """Keep account of measurements that do not change by a bit; True when for too long."""
+    same = True
+    for i in range(7):
+        if row[MEASURED + i] != pose[i]:
+            same = False
+            row[MEASURED + i] = pose[i]
+    if not same:
+        row[CHANGED] = time
+    return time - row[CHANGED] > settings[FROZEN_AFTER]
+
+
+@_njit
 def step(rows, poses, seen, time, settings, taken, outcome):
     """Advance every body by one frame.
 
@@ -330,6 +347,8 @@ def step(rows, poses, seen, time, settings, taken, outcome):
             row[STATUS] = LOST
         if not seen[i]:
             outcome[i] = ABSENT
+        elif _is_frozen(row, poses[i], time, settings):
+            outcome[i] = FROZEN
         elif row[STATUS] != TRACKED:
             outcome[i] = PENDING
         elif time <= row[TIME]:

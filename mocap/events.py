@@ -17,6 +17,7 @@ class EventKind(StrEnum):
     BODY_TRACKED = "body_tracked"
     BODY_STALE = "body_stale"
     BODY_RECOVERED = "body_recovered"
+    BODY_FROZEN = "body_frozen"
     JUMP_REJECTED = "jump_rejected"
     FLIP_REJECTED = "flip_rejected"
     SWAP_CORRECTED = "swap_corrected"

@@ -217,6 +217,25 @@ def test_a_frame_sent_twice_does_not_make_a_body_fresh():
     assert estimator.estimate("cf1", 1.5).freshness is Freshness.STALE
 
 
+def test_a_frozen_pose_becomes_stale_and_a_living_one_does_not():
+    flights = Flights(2, seed=8)
+    estimator = tracked(flights, config=EstimatorConfig(frozen_after=0.25))
+    frozen = flights(0.99)["cf1"]
+    kinds = []
+    for frame in frames_of(flights, 60, 100):
+        frame = replace(frame, bodies={"cf1": frozen, "cf2": Pose(np.ones(3) * frame.timestamp)})
+        result = estimator.update(frame)
+        kinds += [e.kind for e in (*result.events, *estimator.check(frame.received))
+                  if e.body == "cf1"]  # fmt: skip
+    assert EventKind.BODY_FROZEN in kinds
+    assert kinds[-1] is EventKind.BODY_STALE
+    assert estimator.estimate("cf1", 1.6).freshness is Freshness.STALE
+    still = PoseEstimator(["cf1"])
+    for k in range(100):
+        still.update(PoseFrame(k / RATE, k / RATE, k, {"cf1": frozen}))
+    assert still.estimate("cf1", 1.0).freshness is Freshness.FRESH
+
+
 def test_outliers_of_the_camera_model_never_reach_vehicle_or_referee():
     flights = Flights(6, seed=11, spacing=2.0)
     model = CameraModel(
