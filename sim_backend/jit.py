@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.types import unliteral
 
 
 def _cache_root() -> Path:
@@ -50,6 +51,18 @@ def is_cold() -> bool:
     return not any(cache_folder().rglob("*.nbi"))
 
 
+def _once_for_all_integers(dispatcher: Any) -> Any:
+    """Keep Numba from compiling a kernel anew for every integer constant it is called with."""
+    template = dispatcher.get_call_template
+
+    def general(args: Any, kws: dict[str, Any]) -> Any:
+        plain = {name: unliteral(kind) for name, kind in kws.items()}
+        return template([unliteral(kind) for kind in args], plain)
+
+    dispatcher.get_call_template = general
+    return dispatcher
+
+
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile with Numba: cached on disk, no GIL, IEEE arithmetic (no fast-math)."""
 
@@ -59,9 +72,10 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         try:
             # Nobody takes a kernel's address: doing without that entry point saves a fifth of
             # the compile time.
-            return numba.njit(
+            compiled = numba.njit(
                 cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options
-            )(py_function)
+            )
+            return _once_for_all_integers(compiled(py_function))
         finally:
             numba.config.CACHE_DIR = previous
 
