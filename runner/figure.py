@@ -65,6 +65,7 @@ def save_figure(
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 6.5), dpi=100, layout="constrained")
+    figure.get_layout_engine().set(h_pad=0.08, w_pad=0.08)
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(3, 2, width_ratios=[1.1, 1])
     top = figure.add_subplot(grid[:, 0])
