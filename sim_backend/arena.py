@@ -307,15 +307,18 @@ class ArenaFleet:
     def external_pose(self, vehicle: int, pose: Pose, latency: float = 0.0) -> bool:
         """Send a measured pose that arrives ``latency`` s from now; False if it was lost because
         too many are on their way."""
-        return self._enqueue(vehicle, MEAS_POSE, (*pose.position, *pose.quaternion), latency)
+        row = np.empty(7)
+        row[:3] = pose.position
+        row[3:] = pose.quaternion
+        return self._enqueue(vehicle, MEAS_POSE, row, latency)
 
     def external_position(self, vehicle: int, position: ArrayLike, latency: float = 0.0) -> bool:
         """Send a measured position (3,) m, as :meth:`external_pose`."""
-        x, y, z = np.asarray(position, dtype=np.float64)
-        return self._enqueue(vehicle, MEAS_POSITION, (x, y, z, 0.0, 0.0, 0.0, 1.0), latency)
+        row = np.zeros(7)
+        row[:3] = position
+        return self._enqueue(vehicle, MEAS_POSITION, row, latency)
 
-    def _enqueue(self, vehicle: int, kind: int, pose: Sequence[float], latency: float) -> bool:
-        row = np.array(pose, dtype=np.float64)
+    def _enqueue(self, vehicle: int, kind: int, row: Array, latency: float) -> bool:
         arrival = self.memory[vehicle, stack_2026.F_TICK] + round(latency / DT)
         return bool(enqueue(self._queues[vehicle], arrival, kind, row))
 
