@@ -26,7 +26,6 @@ from tests.sim_backend.crtp.virtual_process import VirtualProcess, virtual_proce
 _COUNT = 10
 # An address of this machine that nothing else uses, so that scanning its fixed ports is safe.
 _HOST = "127.0.7.1"
-_VEHICLES = iter(range(_COUNT))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -380,7 +379,7 @@ def test_swarm_of_ten(vehicles: VirtualProcess, cache: Path) -> None:
     vehicles.command("reboot")
     with Swarm(vehicles.uris, factory=CachedCfFactory(rw_cache=str(cache))) as swarm:
         swarm.reset_estimators()
-        before = swarm.get_estimated_positions()
+        before = dict(swarm.get_estimated_positions())
 
         def fly(scf: SyncCrazyflie) -> None:
             scf.cf.commander.send_notify_setpoint_stop()
