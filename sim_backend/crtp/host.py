@@ -86,7 +86,8 @@ class Host:
         word, _, value = line.strip().partition(" ")
         action = _COMMANDS.get(word)
         if action is None:
-            raise InputError(f"command: found {line.strip()!r}; write one of {', '.join(_COMMANDS)}")
+            known = ", ".join(_COMMANDS)
+            raise InputError(f"command: found {line.strip()!r}; write one of {known}")
         return action(self.server, value)
 
 

@@ -15,8 +15,9 @@ from crazyarena.mocap.sim_source import SimSource
 from crazyarena.mocap.zenoh_link import ZenohPublisher
 from crazyarena.sim_backend.crtp.faults import Faults
 from crazyarena.sim_backend.crtp.link import BASE_PORT, UdpLink
-from crazyarena.sim_backend.crtp.swarm import BATCH_MS, VirtualSwarm
+from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
 
+_WAKE_MS = 4  # between wake-ups when nothing arrives
 _STALL_MS = 50  # behind wall time by more than this is worth counting
 _SLICE_MS = 100  # caught up at a time, between looks at the sockets
 
@@ -134,9 +135,9 @@ class VirtualServer:
         with self._lock:
             self._origin = self._clock.now()
         while not self._stop.is_set():
-            self._wait()
+            ready = self._wait()
             with self._lock:
-                self.step()
+                self._step(ready)
 
     def stop(self) -> None:
         """End :meth:`run` within some milliseconds; callable from a signal handler."""
@@ -160,21 +161,23 @@ class VirtualServer:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def _wait(self) -> None:
-        deadline = self._wall(self.swarm.fleet.tick + BATCH_MS)
+    def _wait(self) -> set[int]:
+        """Sleep until something is due or arrives; returns the vehicles that have mail."""
+        deadline = self._wall(self.swarm.fleet.tick + _WAKE_MS)
         deadline = min(deadline, *(link.due() for link in self.links))
-        self._selector.select(max(0.0, deadline - self._clock.now()))
+        events = self._selector.select(max(0.0, deadline - self._clock.now()))
+        return {key.data for key, _ in events}
 
     def _wall(self, tick: int) -> float:
         """When a tick is due, s on the clock."""
         assert self._origin is not None
         return self._origin + 1e-3 * (tick - self._first_tick)
 
-    def step(self) -> None:
+    def _step(self, ready: set[int]) -> None:
         """One pass: what arrived, then the time that has passed."""
         assert self._origin is not None, "run() sets the origin of time"
         self.pace.wakes += 1
-        self._exchange()
+        self._exchange(ready)
         fleet = self.swarm.fleet
         now = self._clock.now()
         target = self._first_tick + math.floor(1e3 * (now - self._origin))
@@ -182,7 +185,7 @@ class VirtualServer:
         self.pace.worst = max(self.pace.worst, behind)
         if behind > _STALL_MS:
             self.pace.stalls += 1
-        if behind >= BATCH_MS:
+        if behind >= _WAKE_MS:
             ticks = min(behind, _SLICE_MS)
             self.swarm.advance(ticks, self._say)
             self.pace.ticks += ticks
@@ -191,9 +194,12 @@ class VirtualServer:
         for link in self.links:
             link.flush(now)
 
-    def _exchange(self) -> None:
+    def _exchange(self, ready: set[int]) -> None:
         now = self._clock.now()
-        for link, vehicle in zip(self.links, self.swarm.vehicles, strict=True):
+        for index, link in enumerate(self.links):
+            if index not in ready and link.uplink.due() > now:
+                continue
+            vehicle = self.swarm.vehicles[index]
             for datagram, sender in link.receive(now):
                 for answer in vehicle.receive(datagram):
                     link.send(answer, now, sender)

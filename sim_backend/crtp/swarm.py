@@ -10,7 +10,7 @@ from crazyarena.types import Pose
 
 Send = Callable[[int, bytes], None]
 
-BATCH_MS = 2  # of simulated time per compiled call; log data are at most so late
+_BATCH_MS = 2  # of simulated time per compiled call; log data are at most so late
 
 
 class VirtualSwarm:
@@ -48,7 +48,7 @@ class VirtualSwarm:
             if self._feed_period is not None and self.fleet.tick >= self._next_feed:
                 self._next_feed += self._feed_period
                 self._feed()
-            self.fleet.advance(min(BATCH_MS, end - self.fleet.tick))
+            self.fleet.advance(min(_BATCH_MS, end - self.fleet.tick))
             for index, vehicle in enumerate(self.vehicles):
                 for datagram in vehicle.advance():
                     send(index, datagram)
