@@ -58,6 +58,8 @@ class PoseForwarder:
         markers); then ``send_positions`` carries positions (3,) by vehicle id.
     threaded: send in a thread of its own, so that a slow link never delays the estimator;
         what it cannot keep up with is overtaken, never queued.
+    max_age: poses older than this when they arrive are dropped, s: a vehicle takes whatever it
+        is given for the present.
     """
 
     def __init__(
@@ -70,7 +72,10 @@ class PoseForwarder:
         mode: Literal["pose", "position"] = "pose",
         send_positions: SendPositions | None = None,
         threaded: bool = False,
+        max_age: float = 0.1,
     ) -> None:
+        if not max_age > 0:
+            raise InputError(f"external pose max_age: found {max_age}; need seconds above 0")
         if not rate > 0:
             raise InputError(f"external pose rate: found {rate}; need Hz above 0")
         if mode not in ("pose", "position"):
@@ -89,6 +94,8 @@ class PoseForwarder:
         self._lock = threading.Condition(threading.Lock())
         self._waiting: dict[int, tuple[float, Pose]] = {}
         self._closed = False
+        self._max_age = max_age
+        self.too_old = 0
         self.failures = 0
         self.last_failure: str | None = None
         self._thread: threading.Thread | None = None
@@ -109,6 +116,9 @@ class PoseForwarder:
                 state = self._vehicles[vehicle]
                 # A pose counts once, however often it is offered.
                 if captured <= state.captured:
+                    continue
+                if received - captured > self._max_age:
+                    self.too_old += 1
                     continue
                 # A frame that is early by jitter is sent rather than the next one late; the
                 # raster of due times is kept, so that the mean rate is right.

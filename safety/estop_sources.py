@@ -101,23 +101,25 @@ def stop_local(
     folder = folder or runtime_folder()
     payload = json.dumps({"test": True} if test else {"reason": reason}).encode()
     answers = []
-    with tempfile.TemporaryDirectory(prefix="crazyarena-") as own:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
-            sender.bind(str(Path(own) / "reply"))
-            sender.settimeout(timeout)
-            for path in sorted(folder.glob("estop-*.sock")):
-                try:
-                    sender.sendto(payload, str(path))
-                except (ConnectionRefusedError, FileNotFoundError):
-                    path.unlink(missing_ok=True)
-                    continue
-                except OSError as error:
-                    answers.append((path.name, f"not sent: {error.strerror}"))
-                    continue
-                try:
-                    answers.append((path.name, sender.recv(64).decode("utf-8", "replace")))
-                except TimeoutError:
-                    answers.append((path.name, "no answer"))
+    with (
+        tempfile.TemporaryDirectory(prefix="crazyarena-") as own,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
+    ):
+        sender.bind(str(Path(own) / "reply"))
+        sender.settimeout(timeout)
+        for path in sorted(folder.glob("estop-*.sock")):
+            try:
+                sender.sendto(payload, str(path))
+            except (ConnectionRefusedError, FileNotFoundError):
+                path.unlink(missing_ok=True)
+                continue
+            except OSError as error:
+                answers.append((path.name, f"not sent: {error.strerror}"))
+                continue
+            try:
+                answers.append((path.name, sender.recv(64).decode("utf-8", "replace")))
+            except TimeoutError:
+                answers.append((path.name, "no answer"))
     return answers
 
 

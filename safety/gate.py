@@ -49,6 +49,7 @@ _PARAMETERS_IN_FLIGHT = (
     "hlCommander.",
 )
 _NEVER_BY_RUNNER = ("motorPowerSet.", "system.", "health.", "powerDist.idleThrust")
+_TELEMETRY_GOOD = 0.3  # s, up to which the vehicle's own estimate is carried on
 _MEMORY = 0.5  # s after which the last setpoint no longer bounds the next
 
 Listener = Callable[[c.Command, c.Command | None, str, int | None], None]
@@ -71,10 +72,13 @@ class _Vehicle:
 
     taken: bool = False
     flying_since: float | None = None
+    ending: bool = False
+    forwarded: Pose | None = None
     setpoint: Point | None = None  # last streamed position
     velocity: Point = (0.0, 0.0, 0.0)
     setpoint_time: float = -math.inf
     streaming: bool = False
+    is_reference: bool = False
     tokens: float = 0.0
     tokens_time: float = -math.inf
 
@@ -116,7 +120,7 @@ class CommandGate:
         self._vehicles = {vehicle: _Vehicle() for vehicle in backend.vehicles}
         self._trajectories: dict[tuple[int, int], np.ndarray] = {}
         self._closed_reason: str | None = None
-        self.passed = self.changed = self.refused = 0
+        self.passed = self.changed = self.refused = self.poses_dropped = 0
         self.runner = GatePort(self, trusted=False)
         self.safety = GatePort(self, trusted=True)
 
@@ -137,7 +141,43 @@ class CommandGate:
         )
 
     def send_external_poses(self, poses: Mapping[int, Pose]) -> None:
-        self._backend.send_external_poses(poses)
+        """Forward what a vehicle may believe: its estimator fuses whatever it is given.
+
+        Dropped, and counted in ``poses_dropped``: what is not finite, what repeats the last one
+        to the bit (an old pose in a new frame), and, in flight, what is further from the
+        vehicle's own estimate than it can have gone.
+        """
+        good = {}
+        for vehicle, pose in poses.items():
+            if self._believable(vehicle, pose):
+                good[vehicle] = pose
+            else:
+                self.poses_dropped += 1
+        if good:
+            self._backend.send_external_poses(good)
+
+    def _believable(self, vehicle: int, pose: Pose) -> bool:
+        memory = self._vehicles.get(vehicle)
+        if memory is None:
+            return False
+        last, memory.forwarded = memory.forwarded, pose
+        if not np.isfinite(pose.position).all() or np.isinf(pose.quaternion).any():
+            return False
+        if (
+            last is not None
+            and np.array_equal(last.position, pose.position)
+            and np.array_equal(last.quaternion, pose.quaternion, equal_nan=True)
+        ):
+            return False
+        own = self._backend.telemetry(vehicle).state
+        if memory.flying_since is None or own is None:
+            return True
+        age = self._clock.now() - own.timestamp
+        if not 0.0 <= age <= _TELEMETRY_GOOD:
+            return True
+        expected = own.position + age * own.velocity
+        gone = float(np.linalg.norm(pose.position - expected))
+        return gone <= self.limits.disagreement + 0.5 * self.limits.setpoint_acceleration * age**2
 
     def telemetry(self, vehicle: int) -> Telemetry:
         return self._backend.telemetry(vehicle)
@@ -159,13 +199,20 @@ class CommandGate:
         self._vehicles[vehicle].taken = True
 
     def flying_since(self, vehicle: int) -> float | None:
-        """When the runner first sent something that makes the vehicle fly, s; None before."""
+        """When the runner first sent something that makes the vehicle fly, s; None before, and
+        once it stands again after a landing."""
         return self._vehicles[vehicle].flying_since
+
+    def stands(self, vehicle: int) -> None:
+        """The vehicle has been seen standing for a while; if it was told to land, that was it."""
+        memory = self._vehicles[vehicle]
+        if memory.ending:
+            memory.flying_since = None
 
     def reference(self, vehicle: int, now: float) -> Point | None:
         """Where a streamed full-state setpoint wants the vehicle to be now, m."""
         memory = self._vehicles[vehicle]
-        if memory.setpoint is None or not memory.streaming:
+        if memory.setpoint is None or not (memory.streaming and memory.is_reference):
             return None
         age = min(max(now - memory.setpoint_time, 0.0), 0.1)
         (x, y, z), (vx, vy, vz) = memory.setpoint, memory.velocity
@@ -247,13 +294,21 @@ class CommandGate:
         fitted, reasons = (command, []) if fitter is None else fitter(self, command, vehicle, now)
         if reasons and self._policy is Policy.REFUSE:
             raise Refused(f"cf{vehicle}: {verb(command)}: {'; '.join(reasons)}")
-        if isinstance(fitted, _FLYING) and memory.flying_since is None:
-            memory.flying_since = now
+        if isinstance(fitted, _FLYING):
+            memory.ending = False
+            if memory.flying_since is None:
+                memory.flying_since = now
+        elif isinstance(fitted, c.Land):
+            memory.ending = True
         if isinstance(fitted, _STREAMED):
             memory.streaming = True
             memory.setpoint_time = now
+            memory.is_reference = isinstance(fitted, c.FullState)
+            if isinstance(fitted, c.FullState | c.Position):
+                memory.setpoint = _triple(fitted.position)
+            else:
+                memory.setpoint = None
             is_full = isinstance(fitted, c.FullState)
-            memory.setpoint = _triple(fitted.position) if is_full else None
             memory.velocity = _triple(fitted.velocity) if is_full else (0.0, 0.0, 0.0)
         elif isinstance(fitted, c.NotifySetpointsStop | c.Land | c.Takeoff | c.GoTo):
             memory.streaming = False
@@ -264,6 +319,7 @@ class CommandGate:
             memory = self._vehicles.get(target)
             if memory is not None:
                 memory.streaming = False
+                memory.ending = True
                 memory.setpoint = None
 
     # What fits, by kind of command
@@ -325,22 +381,17 @@ class CommandGate:
         return velocity[0] * low, velocity[1] * low, velocity[2] * low
 
     def _reachable(self, point: Point, vehicle: int, now: float, reasons: list[str]) -> Point:
-        """Bound the step of a streamed position by what the speed limit allows."""
+        """Bound a streamed position by the one before it, and by where the vehicle is."""
+        n = self.limits
         memory = self._vehicles[vehicle]
         age = now - memory.setpoint_time
-        origin = memory.setpoint if age <= _MEMORY else None
-        if origin is None:
-            origin, age = self._where(vehicle), 0.1
-        if origin is None:
-            return point
-        limit = self.limits.setpoint_step + self.limits.setpoint_speed * age
-        distance = math.dist(origin, point)
-        if distance <= limit:
-            return point
-        share = limit / distance
-        reasons.append(f"position jumps by {distance:.2f} m, at most {limit:.2f} m are possible")
-        x, y, z = (a + share * (b - a) for a, b in zip(origin, point, strict=True))
-        return x, y, z
+        if memory.setpoint is not None and age <= _MEMORY:
+            limit = n.setpoint_step + n.setpoint_speed * age
+            point = _towards(memory.setpoint, point, limit, "last setpoint", reasons)
+        where = self._where(vehicle)
+        if where is not None:
+            point = _towards(where, point, n.setpoint_lead, "vehicle", reasons)
+        return point
 
     def _full_state(self, m: c.FullState, vehicle: int, now: float) -> tuple[c.Command, list[str]]:
         n = self.limits
@@ -364,6 +415,7 @@ class CommandGate:
     def _position(self, m: c.Position, vehicle: int, now: float) -> tuple[c.Command, list[str]]:
         reasons: list[str] = []
         place = self._inside(_triple(m.position), vehicle, reasons, "position")
+        place = self._reachable(place, vehicle, now, reasons)
         return (replace(m, position=place) if reasons else m), reasons
 
     def _velocity(
@@ -589,6 +641,17 @@ def _who(vehicle: int | None) -> str:
 def _triple(values: Any) -> Point:
     x, y, z = values
     return float(x), float(y), float(z)
+
+
+def _towards(origin: Point, point: Point, limit: float, what: str, reasons: list[str]) -> Point:
+    """``point``, or the one ``limit`` m from ``origin`` on the way to it."""
+    distance = math.dist(origin, point)
+    if distance <= limit:
+        return point
+    reasons.append(f"position is {distance:.2f} m from the {what}, at most {limit:.2f} m may be")
+    share = limit / distance
+    x, y, z = (a + share * (b - a) for a, b in zip(origin, point, strict=True))
+    return x, y, z
 
 
 def _text(point: Point) -> str:

@@ -40,7 +40,9 @@ class Limits:
     inside: m, how far inside the fence the watchdog holds and lands.
     return_speed, descent: m/s, of the watchdog's own flight; blind_descent without poses.
     setpoint_speed, setpoint_acceleration: m/s, m/s2, what the gate lets pass.
-    setpoint_step: m, by which a streamed position may be ahead of what speed allows.
+    setpoint_step: m, by which one streamed position may differ from the last beyond what speed
+        allows; setpoint_lead: m, by which it may be away from the vehicle. Further away, and the
+        firmware's position loop tips the vehicle over.
     setpoint_tilt: rad, of attitude setpoints.
     allow_attitude: attitude setpoints are let through at all; no fence can clamp them.
     command_rate, command_burst: commands per second, and how many at once.
@@ -94,7 +96,8 @@ class Limits:
     blind_descent: float = 0.8
     setpoint_speed: float = 3.0
     setpoint_acceleration: float = 12.0
-    setpoint_step: float = 0.3
+    setpoint_step: float = 0.1
+    setpoint_lead: float = 0.6
     setpoint_tilt: float = 0.6
     allow_attitude: bool = False
     command_rate: float = 200.0

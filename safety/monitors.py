@@ -183,9 +183,10 @@ def _may_not_fly(obs: Observation, fence: Fence, limits: Limits) -> float | None
 
 
 def _following(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    if obs.setpoint is None or obs.position is None:
+    position = obs.flown_from(limits.disagreement)
+    if obs.setpoint is None or position is None:
         return None
-    return math.dist(obs.setpoint, obs.position)
+    return math.dist(obs.setpoint, position)
 
 
 def _controller(obs: Observation, fence: Fence, limits: Limits) -> float | None:

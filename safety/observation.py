@@ -60,6 +60,17 @@ class Observation:
     person_depth: float | None = None
     strangers: int = 0
 
+    def flown_from(self, tolerance: float) -> Point | None:
+        """Where the vehicle's own controllers take it to be: what they are told must fit that.
+
+        The position, but the vehicle's estimate if the two are further apart than ``tolerance``.
+        """
+        if self.position is None or self.onboard is None:
+            return self.position
+        return (
+            self.position if math.dist(self.position, self.onboard) <= tolerance else self.onboard
+        )
+
     @property
     def upright(self) -> float:
         """Cosine of the tilt."""

@@ -78,32 +78,34 @@ class SafePilot:
     def _begin(self, obs: Observation) -> None:
         self._begun = self._moved = obs.time
         self._yaw = obs.yaw if math.isfinite(obs.yaw) else 0.0
-        if obs.position is None:
+        position = obs.flown_from(self._limits.disagreement)
+        if position is None:
             # Nobody knows where it is: level it at the setpoint it had, and land from there.
             self._place = self._target = obs.setpoint or (0.0, 0.0, self.ground + 0.5)
             return
         speed = math.hypot(*obs.velocity)
         deceleration = self._limits.braking
         time = speed / deceleration
-        (x, y, z), (vx, vy, vz) = obs.position, obs.velocity
-        self._brake = (obs.position, obs.velocity, time)
+        (x, y, z), (vx, vy, vz) = position, obs.velocity
+        self._brake = (position, obs.velocity, time)
         rest = (x + 0.5 * vx * time, y + 0.5 * vy * time, z + 0.5 * vz * time)
         rest = (rest[0], rest[1], max(rest[2], self.ground + 0.1))
         self._place = rest
         try:
-            self._target = self._fence.nearest(rest, self._limits.inside, obs.position)
+            self._target = self._fence.nearest(rest, self._limits.inside, position)
         except InputError:
             self._target = rest
 
     def _is_down(self, action: Action, obs: Observation) -> bool:
         if not obs.airborne:
             return True
-        if obs.position is None:
+        position = obs.flown_from(self._limits.disagreement)
+        if position is None:
             # Blind: the reference says when it must be down.
             return self._descending and self._place[2] <= self.ground - _BELOW_GROUND
-        low = obs.position[2] <= self.ground + _TOUCHDOWN
+        low = position[2] <= self.ground + _TOUCHDOWN
         # A reference this far below a vehicle that no longer moves: it stands on something.
-        low = low or (self._descending and self._place[2] <= obs.position[2] - 0.5)
+        low = low or (self._descending and self._place[2] <= position[2] - 0.5)
         if not (low and action is Action.LAND and abs(obs.velocity[2]) < _STILL):
             self._touched = None
             return False
