@@ -16,6 +16,7 @@ from crazyarena.clock import Clock, VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.checks import check
 from crazyarena.crazyswarm_compat.config import FleetConfig
+from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.radio import packets as pk
 from crazyarena.crazyswarm_compat.radio.budget import Budget
 from crazyarena.crazyswarm_compat.radio.client import init_drivers
@@ -126,9 +127,9 @@ class RadioBackend:
         Raises
         ------
         CommandError
-            if no vehicle could execute it: not finite, or beyond the packet's range.
+            if no vehicle could execute it: not finite, beyond the packet's range, no such id.
         BackendError
-            for a vehicle or a parameter that does not exist.
+            for a parameter that does not exist.
         """
         if vehicle is None:
             check(command, "all vehicles")
@@ -197,6 +198,14 @@ class RadioBackend:
             if the firmware has no such parameter, or does not answer.
         """
         return self._link(vehicle).get_param(name)
+
+    def param_names(self, vehicle: int) -> Sequence[str]:
+        """Names of all parameters of a vehicle, as ``group.name``."""
+        client = self._link(vehicle).client
+        if client is None:
+            return ()
+        toc = client.param.toc.toc
+        return tuple(f"{group}.{name}" for group, names in toc.items() for name in names)
 
     def close(self) -> None:
         """Release the links; idempotent. Nothing is sent: a vehicle that flies a high-level
@@ -331,9 +340,9 @@ class RadioBackend:
     def _link(self, vehicle: int) -> VehicleLink:
         try:
             return self._links[vehicle]
-        except KeyError:
+        except (KeyError, TypeError):
             known = ", ".join(map(str, self._links))
-            raise BackendError(f"no vehicle with id {vehicle!r}; the fleet has {known}") from None
+            raise CommandError(f"no vehicle with id {vehicle!r}; the fleet has {known}") from None
 
     def _watch(self) -> None:
         due = self.clock.now()
@@ -412,8 +421,12 @@ def open_radio(fleet: FleetConfig, clock: Clock, options: Any = None) -> RadioBa
     backend = RadioBackend(fleet, clock, chosen)
     try:
         for config in fleet.vehicles:
+            known = set(backend.param_names(config.id))
             for name, value in config.firmware_params.items():
-                backend.set_param(config.id, name, value)
+                if name in known:
+                    backend.set_param(config.id, name, value)
+                else:
+                    warn(f"{config.name}: firmware_params: no parameter {name!r} in its firmware")
     except BaseException:
         backend.close()
         raise

@@ -13,6 +13,7 @@ from cflib.crtp.crtpstack import CRTPPacket, CRTPPort
 from cflib.crtp.udpdriver import UdpDriver
 
 _DRIVERS = threading.Lock()
+_UDP_RETRY = 0.08  # s; networks answer sooner than radios
 # What cflib has to say of broken links reaches the user as events and errors; its log only where
 # the program has set one up.
 logging.getLogger("cflib").addHandler(logging.NullHandler())
@@ -75,6 +76,8 @@ class Client(Crazyflie):
     ) -> None:
         if not pk.is_data_size_valid():
             raise ValueError(f"packet of {pk.get_data_size()} bytes; CRTP allows 30")
+        if isinstance(self._driver, UdpDriver):
+            timeout = min(timeout, _UDP_RETRY)
         try:
             super().send_packet(pk, expected_reply, resend, timeout)
         except BaseException:

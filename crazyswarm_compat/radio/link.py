@@ -595,6 +595,12 @@ class VehicleLink:
             raise BackendError(f"{self.name}: wrote {stored} to {name}, but it reads {read}")
 
     def _collision_avoidance(self, m: c.CollisionAvoidance) -> None:
+        if self.cached_param("colAv.enable") is None:
+            if m.enable:
+                raise BackendError(
+                    f"{self.name}: its firmware was built without collision avoidance (colAv.*)"
+                )
+            return
         if m.enable:
             for axis, name in enumerate("XYZ"):
                 self._write_later(f"colAv.ellipsoid{name}", float(m.radii[axis]))
@@ -620,7 +626,7 @@ class VehicleLink:
                     CommandLost(self._clock.now(), self.id, "uploadTrajectory", str(error))
                 )
             finally:
-                self.outbox.upload_ends(ident)
+                self.outbox.upload_ends(ident, self._clock.now())
 
         threading.Thread(target=work, name=f"upload-{self.name}", daemon=True).start()
 

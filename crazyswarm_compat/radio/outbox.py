@@ -344,10 +344,13 @@ class Outbox:
         with self.wake:
             self._uploads.add(trajectory)
 
-    def upload_ends(self, trajectory: int) -> None:
-        """The upload is done, or has failed."""
+    def upload_ends(self, trajectory: int, now: float) -> None:
+        """The upload is done, or has failed: starts of it no longer wait."""
         with self.wake:
             self._uploads.discard(trajectory)
+            for item in self._commands:
+                if item.needs_upload == trajectory:
+                    item.born = now
             self.wake.notify_all()
 
     def answer(self, command: int, code: int, now: float) -> None:
@@ -357,7 +360,8 @@ class Outbox:
             if awaiting is None or awaiting.item.packet.data[0] != command:
                 return
             self._awaiting = None
-            if awaiting.hand_over and code == 0:
+            # A setpoint that waits is newer: it takes the vehicle back anyway.
+            if awaiting.hand_over and code == 0 and self._setpoint is None:
                 self._notify(now, awaiting.item.remain_ms)
             awaiting.item.done(code, "")
             self.wake.notify_all()
