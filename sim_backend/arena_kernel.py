@@ -85,7 +85,7 @@ NOISE_COLUMNS = 9
 _DEG = 180.0 / math.pi
 
 
-@kernel(_nrt=False)
+@kernel
 def enqueue(queue, arrival, kind, pose):
     """Append an external pose (7,) that arrives at a firmware tick; False when full.
 
@@ -105,7 +105,7 @@ def enqueue(queue, arrival, kind, pose):
     return True
 
 
-@kernel(_nrt=False)
+@kernel
 def _arrived(queue, tick, memory):
     """Take the next pose that has arrived into F_MEASUREMENT; its kind, or MEAS_NONE."""
     if queue[0, Q_COUNT] == 0.0:
@@ -120,7 +120,7 @@ def _arrived(queue, tick, memory):
     return int(queue[1 + head, Q_KIND])
 
 
-@kernel(_nrt=False)
+@kernel
 def _trace(row, time, body, memory):
     update_rpy(body)
     row[TR_TIME] = time
@@ -145,7 +145,7 @@ def _trace(row, time, body, memory):
     row[TR_TUMBLED] = memory[F_SUPERVISOR + SV_TUMBLED]
 
 
-@kernel(_nrt=False)
+@kernel
 def advance_fleet(
     first,
     last,

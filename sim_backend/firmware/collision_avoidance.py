@@ -79,7 +79,7 @@ def new_scratch(peers: int = MAX_PEERS) -> np.ndarray:
     return np.zeros((peers + BOX_FACES, FACE_SIZE))
 
 
-@kernel(_nrt=False)
+@kernel
 def note_peer(table, peer, x, y, z, now):
     """Remember where a peer (id 1..255) is; the table takes the first ten ids it hears of.
 
@@ -97,7 +97,7 @@ def note_peer(table, peer, x, y, z, now):
             return
 
 
-@kernel(_nrt=False)
+@kernel
 def current_peers(table, now, max_age, peers):
     """Copy positions not older than ``max_age`` (ms) into ``peers`` and return their number."""
     count = 0
@@ -109,7 +109,7 @@ def current_peers(table, now, max_age, peers):
     return count
 
 
-@kernel(_nrt=False)
+@kernel
 def _make_cell(params, px, py, pz, peers, count, faces):
     """Faces of the cell in coordinates relative to the own position; returns their number."""
     rx = params[P_ELLIPSOID]
@@ -141,7 +141,7 @@ def _make_cell(params, px, py, pz, peers, count, faces):
     return count + BOX_FACES
 
 
-@kernel(_nrt=False)
+@kernel
 def _inside(faces, rows, x, y, z, tolerance):
     for i in range(rows):
         if faces[i, 0] * x + faces[i, 1] * y + faces[i, 2] * z > faces[i, _B] + tolerance:
@@ -149,7 +149,7 @@ def _inside(faces, rows, x, y, z, tolerance):
     return True
 
 
-@kernel(_nrt=False)
+@kernel
 def _ray(faces, rows, x, y, z, vx, vy, vz):
     """Multiple of v at which the ray from (x, y, z) along v meets the first face."""
     nearest = math.inf
@@ -161,7 +161,7 @@ def _ray(faces, rows, x, y, z, vx, vy, vz):
     return nearest
 
 
-@kernel(_nrt=False)
+@kernel
 def _project(faces, rows, x, y, z, tolerance, iterations):
     """Nearest point of the cell by cyclic projections with Dykstra's corrections."""
     if _inside(faces, rows, x, y, z, tolerance):
@@ -192,7 +192,7 @@ def _project(faces, rows, x, y, z, tolerance, iterations):
     return x, y, z
 
 
-@kernel(_nrt=False)
+@kernel
 def _sidestep(params, faces, rows, gx, gy, gz, keep_reachable):
     scale = _ray(faces, rows, 0.0, 0.0, 0.0, gx, gy, gz)
     if scale >= 1.0 and keep_reachable:
@@ -209,7 +209,7 @@ def _sidestep(params, faces, rows, gx, gy, gz, keep_reachable):
     return _project(faces, rows, x, y, gz, params[P_TOLERANCE], int(params[P_ITERATIONS]))
 
 
-@kernel(_nrt=False)
+@kernel
 def avoid_collisions(params, mem, px, py, pz, peers, count, sp, faces):
     """Change a setpoint so that it stays within the vehicle's buffered Voronoi cell.
 
@@ -265,7 +265,7 @@ def avoid_collisions(params, mem, px, py, pz, peers, count, sp, faces):
     sp[SP_VEL + 2] = vz
 
 
-@kernel(_nrt=False)
+@kernel
 def _safe_velocity(params, faces, rows, vx, vy, vz, slack):
     if _inside(faces, rows, 0.0, 0.0, 0.0, slack):
         horizon = params[P_HORIZON]

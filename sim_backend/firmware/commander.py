@@ -61,7 +61,7 @@ def commander_memory() -> np.ndarray:
     return np.zeros(COMMANDER_SIZE)
 
 
-@kernel(_nrt=False)
+@kernel
 def level_out(setpoint):
     """Turn a setpoint into "stay level, no yaw rate", keeping its z mode and value."""
     setpoint[M_X] = MODE_DISABLE
@@ -74,7 +74,7 @@ def level_out(setpoint):
     setpoint[SP_RATE + 2] = 0.0
 
 
-@kernel(_nrt=False)
+@kernel
 def _accept(m, setpoint, priority, now_ms):
     if priority < m[CM_PRIORITY]:
         return False
@@ -85,7 +85,7 @@ def _accept(m, setpoint, priority, now_ms):
     return True
 
 
-@kernel(_nrt=False)
+@kernel
 def commander_set(m, setpoint, priority, now_ms):
     """Offer a setpoint (2026).
 
@@ -99,14 +99,14 @@ def commander_set(m, setpoint, priority, now_ms):
     return ACCEPTED_STOP_PLANNER if priority > PRIORITY_HIGH_LEVEL else ACCEPTED
 
 
-@kernel(_nrt=False)
+@kernel
 def commander_get(m, setpoint):
     """Copy the setpoint in force, with its SP_TIME, to ``setpoint``."""
     for i in range(SETPOINT_SIZE):
         setpoint[i] = m[CM_SETPOINT + i]
 
 
-@kernel(_nrt=False)
+@kernel
 def commander_relax(m):
     """Let the high-level commander take over (2026 notify-setpoints-stop).
 
@@ -116,7 +116,7 @@ def commander_relax(m):
     m[CM_PRIORITY] = PRIORITY_HIGH_LEVEL
 
 
-@kernel(_nrt=False)
+@kernel
 def commander_set_2022(m, setpoint, priority, now_ms):
     """Offer a setpoint (2022): REFUSED, or ACCEPTED_STOP_PLANNER."""
     if not _accept(m, setpoint, priority, now_ms):
@@ -124,14 +124,14 @@ def commander_set_2022(m, setpoint, priority, now_ms):
     return ACCEPTED_STOP_PLANNER
 
 
-@kernel(_nrt=False)
+@kernel
 def commander_notify_2022(m, remain_valid_ms, now_ms):
     """Shift the time stamp so that the setpoint stays in force ``remain_valid_ms`` longer,
     after which the high-level commander may take over."""
     m[CM_SETPOINT + SP_TIME] = now_ms - min(_SHUTDOWN_MS - remain_valid_ms, now_ms)
 
 
-@kernel(_nrt=False)
+@kernel
 def commander_get_2022(m, now_ms, high_level, planner_stopped, setpoint):
     """Arbitrate (2022).
 

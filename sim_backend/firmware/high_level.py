@@ -122,26 +122,26 @@ def new_memory(generation: int) -> np.ndarray:
     return mem
 
 
-@kernel(_nrt=False)
+@kernel
 def in_group(params, group):
     """Whether a command for ``group`` is for this vehicle: 0 is for all."""
     return group == 0 or (int(group) & int(params[P_GROUP_MASK])) != 0
 
 
-@kernel(_nrt=False)
+@kernel
 def set_group_mask(params, mask):
     """Make the vehicle a member of the groups in the 8-bit ``mask``."""
     params[P_GROUP_MASK] = mask
     return OK
 
 
-@kernel(_nrt=False)
+@kernel
 def is_stopped(mem):
     """Whether no plan is being followed."""
     return mem[PL_STATE] != FLYING and mem[PL_STATE] != LANDING
 
 
-@kernel(_nrt=False)
+@kernel
 def tell_state(mem, state):
     """Let the next plan start from this state row rather than from the last setpoint."""
     for k in range(3):
@@ -150,21 +150,21 @@ def tell_state(mem, state):
     mem[HL_YAW] = state[ST_ATT + 2] * _RAD
 
 
-@kernel(_nrt=False)
+@kernel
 def stop(mem):
     """Drop the plan: the commander is idle."""
     mem[PL_STATE] = IDLE
     return OK
 
 
-@kernel(_nrt=False)
+@kernel
 def disable(mem):
     """Drop the plan and produce nothing until the next go-to, landing or trajectory (2026)."""
     mem[PL_STATE] = DISABLED
     return OK
 
 
-@kernel(_nrt=False)
+@kernel
 def block(mem, blocked):
     """Refuse motion while the supervisor does not allow flight; a running plan ends (2026)."""
     mem[HL_BLOCKED] = 1.0 if blocked else 0.0
@@ -172,12 +172,12 @@ def block(mem, blocked):
         mem[PL_STATE] = IDLE
 
 
-@kernel(_nrt=False)
+@kernel
 def _wrap(angle):
     return math.atan2(math.sin(angle), math.cos(angle))
 
 
-@kernel(_nrt=False)
+@kernel
 def _start_at_rest(mem):
     # Plans that do not continue a running one start from the last setpoint.
     for k in range(3):
@@ -188,7 +188,7 @@ def _start_at_rest(mem):
     mem[PL_EVAL + EV_YAW] = mem[HL_YAW]
 
 
-@kernel(_nrt=False)
+@kernel
 def _end_yaw(mem, yaw):
     # 2026 takes the short way; the plan then starts from a yaw within +-pi.
     if mem[HL_GENERATION] == 2022.0:
@@ -198,7 +198,7 @@ def _end_yaw(mem, yaw):
     return start + _wrap(yaw - start)
 
 
-@kernel(_nrt=False)
+@kernel
 def _plan_vertical(mem, height, duration, yaw, use_current_yaw, t):
     x = mem[PL_EVAL + EV_POS]
     y = mem[PL_EVAL + EV_POS + 1]
@@ -206,7 +206,7 @@ def _plan_vertical(mem, height, duration, yaw, use_current_yaw, t):
     plan_point_to_point(mem, t, duration, (x, y, height), end_yaw, (0.0, 0.0, 0.0), 0.0)
 
 
-@kernel(_nrt=False)
+@kernel
 def takeoff(mem, height, duration, yaw, use_current_yaw, t):
     """Rise from the last known position to an absolute height.
 
@@ -228,7 +228,7 @@ def takeoff(mem, height, duration, yaw, use_current_yaw, t):
     return OK
 
 
-@kernel(_nrt=False)
+@kernel
 def land(mem, height, duration, yaw, use_current_yaw, t):
     """Sink from the last known position to an absolute height, then go idle.
 
@@ -244,13 +244,13 @@ def land(mem, height, duration, yaw, use_current_yaw, t):
     return OK
 
 
-@kernel(_nrt=False)
+@kernel
 def _vertical_duration(mem, height, velocity, default_velocity):
     v = velocity if velocity > 0.0 else default_velocity
     return abs(height - mem[HL_POS + 2]) / v
 
 
-@kernel(_nrt=False)
+@kernel
 def takeoff_with_velocity(mem, params, height, relative, velocity, yaw, use_current_yaw, t):
     """Take off at a mean ``velocity`` (m/s); <= 0 means ``hlCommander.vtoff``.
 
@@ -261,7 +261,7 @@ def takeoff_with_velocity(mem, params, height, relative, velocity, yaw, use_curr
     return takeoff(mem, target, duration, yaw, use_current_yaw, t)
 
 
-@kernel(_nrt=False)
+@kernel
 def land_with_velocity(mem, params, height, relative, velocity, yaw, use_current_yaw, t):
     """Land at a mean ``velocity`` (m/s); <= 0 means ``hlCommander.vland``.
 
@@ -272,7 +272,7 @@ def land_with_velocity(mem, params, height, relative, velocity, yaw, use_current
     return land(mem, target, duration, yaw, use_current_yaw, t)
 
 
-@kernel(_nrt=False)
+@kernel
 def go_to(mem, memory, x, y, z, yaw, duration, relative, linear, t):
     """Fly to a point (m) and yaw (rad) within ``duration`` (s) and stop there.
 
@@ -318,7 +318,7 @@ def go_to(mem, memory, x, y, z, yaw, duration, relative, linear, t):
     return OK
 
 
-@kernel(_nrt=False)
+@kernel
 def spiral(mem, sideways, clockwise, angle, radius0, radius1, climb, duration, t):
     """Fly an arc of ``angle`` (rad) about a point beside (or, sideways, ahead), 2026 only.
 
@@ -337,7 +337,7 @@ def spiral(mem, sideways, clockwise, angle, radius0, radius1, climb, duration, t
     return OK
 
 
-@kernel(_nrt=False)
+@kernel
 def define_trajectory(mem, trajectory_id, kind, offset, pieces):
     """Name a part of the trajectory memory.
 
@@ -366,7 +366,7 @@ def define_trajectory(mem, trajectory_id, kind, offset, pieces):
     return OK
 
 
-@kernel(_nrt=False)
+@kernel
 def start_trajectory(mem, memory, trajectory_id, scale, relative, relative_yaw, reverse, t):
     """Follow an uploaded trajectory.
 
@@ -408,7 +408,7 @@ def start_trajectory(mem, memory, trajectory_id, scale, relative, relative_yaw, 
     return OK
 
 
-@kernel(_nrt=False)
+@kernel
 def _write_setpoint(mem, sp):
     for k in range(3):
         sp[SP_POS + k] = mem[PL_EVAL + EV_POS + k]
@@ -429,7 +429,7 @@ def _write_setpoint(mem, sp):
     sp[M_QUAT] = MODE_DISABLE
 
 
-@kernel(_nrt=False)
+@kernel
 def get_setpoint(mem, memory, t, state, sp):
     """Produce the setpoint of time ``t`` (s).
 

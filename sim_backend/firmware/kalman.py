@@ -107,7 +107,7 @@ def kalman_memory() -> np.ndarray:
     return memory
 
 
-@kernel(_nrt=False)
+@kernel
 def _rotation_from_quaternion(m):
     w, x, y, z = m[KM_Q], m[KM_Q + 1], m[KM_Q + 2], m[KM_Q + 3]
     m[KM_R] = w * w + x * x - y * y - z * z
@@ -121,7 +121,7 @@ def _rotation_from_quaternion(m):
     m[KM_R + 8] = w * w - x * x - y * y + z * z
 
 
-@kernel(_nrt=False)
+@kernel
 def kalman_init(m, p, now_ms):
     """Reset the filter to the initial position and yaw of its parameters.
 
@@ -158,7 +158,7 @@ def kalman_init(m, p, now_ms):
     m[KM_STALE] = 1.0
 
 
-@kernel(_nrt=False)
+@kernel
 def kalman_accumulate(m, state):
     """Add one sample of ``state``'s ST_ACCEL (g) and ST_GYRO (deg/s)."""
     for i in range(3):
@@ -167,7 +167,7 @@ def kalman_accumulate(m, state):
     m[KM_SAMPLES] += 1.0
 
 
-@kernel(_nrt=False)
+@kernel
 def _bound(value):
     # A NaN is taken for "knows nothing", as the firmware does.
     if value <= _MAX_COVARIANCE:
@@ -175,12 +175,12 @@ def _bound(value):
     return _MAX_COVARIANCE
 
 
-@kernel(_nrt=False)
+@kernel
 def _bound_variance(value):
     return max(_bound(value), _MIN_COVARIANCE)
 
 
-@kernel(_nrt=False)
+@kernel
 def _error_matrix(e0, e1, e2):
     """Second-order transport of the attitude error through a rotation by 2 e (JGCD 2017)."""
     return (
@@ -196,7 +196,7 @@ def _error_matrix(e0, e1, e2):
     )
 
 
-@kernel(_nrt=False)
+@kernel
 def _turn(m, vx, vy, vz, reversion):
     """Turn the quaternion by the body-frame rotation vector, then pull it to its start."""
     angle = math.sqrt(vx * vx + vy * vy + vz * vz) + _EPS
@@ -221,7 +221,7 @@ def _turn(m, vx, vy, vz, reversion):
     m[KM_Q + 3] = k / norm
 
 
-@kernel(_nrt=False)
+@kernel
 def _predict_covariance(m, dt, wx, wy, wz):
     """P <- A P A^T by the block structure of A, with the estimate before the prediction."""
     vx, vy, vz = m[KM_S + 3], m[KM_S + 4], m[KM_S + 5]
@@ -259,7 +259,7 @@ def _predict_covariance(m, dt, wx, wy, wz):
             m[KM_P + 9 * j + i] = value
 
 
-@kernel(_nrt=False)
+@kernel
 def kalman_predict(m, now_ms, flying):
     """Advance the estimate to ``now_ms`` with the mean of the accumulated samples.
 
@@ -302,7 +302,7 @@ def kalman_predict(m, now_ms, flying):
     m[KM_CHANGED] = 1.0
 
 
-@kernel(_nrt=False)
+@kernel
 def kalman_process_noise(m, p, now_ms):
     """Add the process noise of the time since the last call (diagonal only)."""
     dt = 1e-3 * (now_ms - m[KM_NOISED])
@@ -325,7 +325,7 @@ def kalman_process_noise(m, p, now_ms):
     m[KM_P + 80] = _bound_variance(m[KM_P + 80] + yaw * yaw)
 
 
-@kernel(_nrt=False)
+@kernel
 def _update(m, k, error, std):
     """Fuse a measurement of state ``k`` alone; works on the upper triangle of P.
 
@@ -342,7 +342,7 @@ def _update(m, k, error, std):
             m[KM_P + 9 * i + j] = _bound(m[KM_P + 9 * i + j] - gain * m[KM_COLUMN + j])
 
 
-@kernel(_nrt=False)
+@kernel
 def kalman_measure(m, kind, measurement, std_position, std_quaternion):
     """Fuse an external position (std in m) and, for MEAS_POSE, a quaternion (std in rad).
 
@@ -370,7 +370,7 @@ def kalman_measure(m, kind, measurement, std_position, std_quaternion):
             m[KM_P + 9 * j + i] = m[KM_P + 9 * i + j]
 
 
-@kernel(_nrt=False)
+@kernel
 def kalman_finalize(m):
     """Move the attitude error into the quaternion, if anything changed since the last call."""
     if m[KM_CHANGED] == 0.0:
@@ -402,7 +402,7 @@ def kalman_finalize(m):
     m[KM_S + 8] = 0.0
 
 
-@kernel(_nrt=False)
+@kernel
 def kalman_externalize(m, state):
     """Write the estimate into ``state``; ST_ACC from its present accelerometer sample."""
     ax, ay, az = state[ST_ACCEL], state[ST_ACCEL + 1], state[ST_ACCEL + 2]
@@ -424,7 +424,7 @@ def kalman_externalize(m, state):
     state[ST_ATT + 2] = _DEG * math.atan2(m[KM_R + 3], m[KM_R])
 
 
-@kernel(_nrt=False)
+@kernel
 def kalman_out_of_bounds(m, p):
     """True when the estimate is beyond the position or velocity limit, or not a number."""
     for i in range(3):
@@ -433,7 +433,7 @@ def kalman_out_of_bounds(m, p):
     return False
 
 
-@kernel(_nrt=False)
+@kernel
 def kalman_advance(m, p, state, now_ms, flying):
     """First half of a pass of the estimator task (1000 Hz): predict and take the new sample.
 
@@ -454,7 +454,7 @@ def kalman_advance(m, p, state, now_ms, flying):
     kalman_accumulate(m, state)
 
 
-@kernel(_nrt=False)
+@kernel
 def kalman_complete(m, p, state, now_ms):
     """Second half, after any :func:`kalman_measure`: write the estimate into ``state``.
 

@@ -69,13 +69,13 @@ _TIME_SLACK = 1e-4
 _FACTORIAL = (1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0)
 
 
-@kernel(_nrt=False)
+@kernel
 def since(mem, t):
     """Seconds since the trajectory began, at single precision."""
     return np.float32(t) - np.float32(mem[PL_BEGIN])
 
 
-@kernel(_nrt=False)
+@kernel
 def _read_float(memory, at):
     bits = (
         np.uint32(memory[at])
@@ -86,26 +86,26 @@ def _read_float(memory, at):
     return np.uint32(bits).view(np.float32)
 
 
-@kernel(_nrt=False)
+@kernel
 def _read_int16(memory, at):
     value = int(memory[at]) | (int(memory[at + 1]) << 8)
     return float(value - 65536 if value >= 32768 else value)
 
 
-@kernel(_nrt=False)
+@kernel
 def _stretched_duration(mem, memory, piece):
     at = int(mem[PL_OFFSET]) + PIECE_BYTES * piece + 4 * PIECE_DURATION
     return _read_float(memory, at) * np.float32(mem[PL_SCALE])
 
 
-@kernel(_nrt=False)
+@kernel
 def _load_piece(mem, memory, piece):
     at = int(mem[PL_OFFSET]) + PIECE_BYTES * piece
     for k in range(PIECE_SIZE):
         mem[PL_PIECE + k] = _read_float(memory, at + 4 * k)
 
 
-@kernel(_nrt=False)
+@kernel
 def _follow(mem, kind, t):
     mem[PL_KIND] = kind
     mem[PL_BEGIN] = np.float32(t)
@@ -119,7 +119,7 @@ def _follow(mem, kind, t):
     mem[PL_INDEX] = -1.0
 
 
-@kernel(_nrt=False)
+@kernel
 def _seek_piece(mem, memory, local):
     # Walks the stretched durations from the start, in single precision like the vehicle.
     count = int(mem[PL_COUNT])
@@ -142,7 +142,7 @@ def _seek_piece(mem, memory, local):
     mem[PL_TO] = math.inf
 
 
-@kernel(_nrt=False)
+@kernel
 def _decode_axis(mem, memory, axis, points, at, unit, duration):
     # From Bezier control points (the first is the end of the segment before) to powers of t.
     base = PL_PIECE + 8 * axis
@@ -164,7 +164,7 @@ def _decode_axis(mem, memory, axis, points, at, unit, duration):
         mem[PL_LAST + axis] = _read_int16(memory, at + 2 * (points - 1)) * unit
 
 
-@kernel(_nrt=False)
+@kernel
 def _next_segment(mem, memory):
     """Decode the segment at the cursor; past the end, stand at the last end point for ever."""
     at = int(mem[PL_CURSOR])
@@ -197,7 +197,7 @@ def _next_segment(mem, memory):
     mem[PL_TO] = mem[PL_FROM] + np.float32(duration)
 
 
-@kernel(_nrt=False)
+@kernel
 def _seek_segment(mem, memory, local):
     if mem[PL_INDEX] < 0.0 or local < mem[PL_FROM]:
         start = int(mem[PL_OFFSET])
@@ -211,7 +211,7 @@ def _seek_segment(mem, memory, local):
         _next_segment(mem, memory)
 
 
-@kernel(_nrt=False)
+@kernel
 def evaluate_plan(mem, memory, t):
     """Evaluate the trajectory at time ``t`` (s) into ``mem[PL_EVAL:]``.
 
@@ -261,7 +261,7 @@ def evaluate_plan(mem, memory, t):
             mem[PL_EVAL + EV_POS + k] += mem[PL_SHIFT + k]
 
 
-@kernel(_nrt=False)
+@kernel
 def _turn(mem, at):
     x = mem[at]
     y = mem[at + 1]
@@ -269,7 +269,7 @@ def _turn(mem, at):
     mem[at + 1] = mem[PL_TURN + 2] * x + mem[PL_TURN + 1] * y
 
 
-@kernel(_nrt=False)
+@kernel
 def is_finished(mem, memory, t):
     """Whether the last trajectory has come to its end, even if it was interrupted."""
     local = since(mem, t)
@@ -287,7 +287,7 @@ def is_finished(mem, memory, t):
     return True
 
 
-@kernel(_nrt=False)
+@kernel
 def plan_point_to_point(mem, t, duration, pos, yaw, end_vel, end_yaw_rate):
     """Plan one piece from the evaluated point in ``mem[PL_EVAL:]`` to the given end state.
 
@@ -313,7 +313,7 @@ def plan_point_to_point(mem, t, duration, pos, yaw, end_vel, end_yaw_rate):
         plan_axis(mem, PL_PIECE, axis, duration, p0, v0, a0, p1, v1, 0.0)
 
 
-@kernel(_nrt=False)
+@kernel
 def plan_spiral(mem, t, duration, sideways, clockwise, angle, radius0, radius1, climb, pos, yaw):
     """Plan one piece that joins the ends of a spiral arc about a point beside or ahead.
 
@@ -359,7 +359,7 @@ def plan_spiral(mem, t, duration, sideways, clockwise, angle, radius0, radius1, 
         )
 
 
-@kernel(_nrt=False)
+@kernel
 def _arc_point(sideways, s, r, f, w, dr):
     # Position, velocity and acceleration (x, y each) relative to the centre of the arc. With
     # the radius vector along e and n = de/df, r' = dr and f' = w:
@@ -382,7 +382,7 @@ def _arc_point(sideways, s, r, f, w, dr):
     )
 
 
-@kernel(_nrt=False)
+@kernel
 def start_pieces(mem, memory, t, offset, count, scale, reverse):
     """Follow uploaded polynomial pieces as they stand, neither shifted nor turned.
 
@@ -395,7 +395,7 @@ def start_pieces(mem, memory, t, offset, count, scale, reverse):
     mem[PL_REVERSED] = 1.0 if reverse else 0.0
 
 
-@kernel(_nrt=False)
+@kernel
 def start_compressed(mem, memory, t, offset, yaw_unit):
     """Follow an uploaded compressed trajectory, not shifted; ``yaw_unit`` rad per stored unit."""
     _follow(mem, KIND_COMPRESSED, t)
@@ -404,7 +404,7 @@ def start_compressed(mem, memory, t, offset, yaw_unit):
     mem[PL_YAW_UNIT] = yaw_unit
 
 
-@kernel(_nrt=False)
+@kernel
 def make_relative(mem, memory, pos, turned, yaw):
     """Move the trajectory just started so that its first sample is at ``pos`` (m, 3-tuple).
 

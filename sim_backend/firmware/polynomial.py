@@ -26,7 +26,7 @@ EVAL_SIZE = 16
 GRAVITY = 9.81
 
 
-@kernel(_nrt=False)
+@kernel
 def set_constant(row, base, axis, value):
     """Make one axis (0..3) of the piece at ``row[base:]`` stand at ``value``."""
     at = base + 8 * axis
@@ -35,7 +35,7 @@ def set_constant(row, base, axis, value):
         row[at + k] = 0.0
 
 
-@kernel(_nrt=False)
+@kernel
 def plan_axis(row, base, axis, duration, p0, v0, a0, p1, v1, a1):
     """Join two states of one axis by the degree-7 polynomial with zero jerk at both ends.
 
@@ -67,7 +67,7 @@ def plan_axis(row, base, axis, duration, p0, v0, a0, p1, v1, a1):
     row[at + 7] = (-20.0 * dp + 10.0 * dv - 2.0 * da) * inverse4 * inverse2 * inverse
 
 
-@kernel(_nrt=False)
+@kernel
 def _evaluate_axis(row, at, t, rate):
     # Horner's scheme carried through three derivatives; d2 and d3 lack their factors 2 and 6.
     c7 = row[at + 7]
@@ -97,7 +97,7 @@ def _evaluate_axis(row, at, t, rate):
     return p, d1 * rate, 2.0 * d2 * rate2, 6.0 * d3 * rate2 * rate
 
 
-@kernel(_nrt=False)
+@kernel
 def body_rates(acc, jerk, yaw, yaw_rate):
     """Body rates (rad/s) of a thrust-only vehicle that follows acceleration, jerk and yaw.
 
@@ -130,7 +130,7 @@ def body_rates(acc, jerk, yaw, yaw_rate):
     return roll, pitch, zz * yaw_rate
 
 
-@kernel(_nrt=False)
+@kernel
 def evaluate(row, base, t, rate, out, to):
     """Evaluate the piece at ``row[base:]`` and write an evaluated point to ``out[to:]``.
 
@@ -168,7 +168,7 @@ def evaluate(row, base, t, rate, out, to):
     out[to + EV_OMEGA + 2] = turn
 
 
-@kernel(_nrt=False)
+@kernel
 def hold(row, base, t, out, to):
     """Write the point of a piece at local time ``t`` as an evaluated point standing still."""
     for k in range(EVAL_SIZE):

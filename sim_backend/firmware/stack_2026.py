@@ -102,7 +102,7 @@ def firmware_memory(auto_arm: bool = True) -> np.ndarray:
     return memory
 
 
-@kernel(_nrt=False)
+@kernel
 def begin_tick(memory, params, gx, gy, gz, ax, ay, az):
     """Count the tick and run sensors and estimator up to its measurements.
 
@@ -127,7 +127,7 @@ def begin_tick(memory, params, gx, gy, gz, ax, ay, az):
     kalman.kalman_advance(estimator, params[P_KALMAN:P_SUPERVISOR], state, memory[F_TICK], flying)
 
 
-@kernel(_nrt=False)
+@kernel
 def measure(memory, params, kind):
     """Fuse the external pose in F_MEASUREMENT (``kind`` as in :mod:`.kalman`)."""
     own = params[P_KALMAN:P_SUPERVISOR]
@@ -140,7 +140,7 @@ def measure(memory, params, kind):
     )
 
 
-@kernel(_nrt=False)
+@kernel
 def offer_setpoint(memory, setpoint, priority):
     """Hand a setpoint row to the commander, as a packet does; stops the planner if it must."""
     answer = commander.commander_set(
@@ -151,14 +151,14 @@ def offer_setpoint(memory, setpoint, priority):
     return answer
 
 
-@kernel(_nrt=False)
+@kernel
 def notify_setpoints_stop(memory):
     """Let the high-level commander take over from the present estimate."""
     high_level.tell_state(memory[F_HIGH_LEVEL:], memory[F_STATE:F_SETPOINT])
     commander.commander_relax(memory[F_COMMANDER:F_MELLINGER])
 
 
-@kernel(_nrt=False)
+@kernel
 def _control(memory, params, tick):
     state, setpoint = memory[F_STATE:F_SETPOINT], memory[F_SETPOINT:F_CONTROL]
     control = memory[F_CONTROL:F_MOTORS]
@@ -180,7 +180,7 @@ def _control(memory, params, tick):
         )
 
 
-@kernel(_nrt=False)
+@kernel
 def finish_tick(memory, params, trajectories, peer_table, peers, faces, volts):
     """The tick after its measurements: estimate, setpoint, supervisor, controller, motors.
 

@@ -102,7 +102,7 @@ def supervisor_memory(auto_arm: bool = True) -> np.ndarray:
     return memory
 
 
-@kernel(_nrt=False)
+@kernel
 def transition(state, conditions):
     """Next state for a state and a word of condition bits; the first matching rule wins."""
     armed = conditions & C_ARMED != 0
@@ -164,20 +164,20 @@ def transition(state, conditions):
     return state
 
 
-@kernel(_nrt=False)
+@kernel
 def supervisor_can_fly(m):
     """True when setpoints are passed on to the controller."""
     state = m[SV_STATE]
     return state in (READY, FLYING, LANDED, WARNING_LEVEL_OUT)
 
 
-@kernel(_nrt=False)
+@kernel
 def supervisor_motors_allowed(m):
     """True when the motors may turn."""
     return supervisor_can_fly(m) or m[SV_STATE] == ARMING
 
 
-@kernel(_nrt=False)
+@kernel
 def supervisor_request_arming(m, arm):
     """Arm or disarm; 1.0 when accepted (or already so), else 0.0."""
     value = 1.0 if arm else 0.0
@@ -189,7 +189,7 @@ def supervisor_request_arming(m, arm):
     return 1.0
 
 
-@kernel(_nrt=False)
+@kernel
 def supervisor_request_recovery(m):
     """Clear the crashed flag; 1.0 when the vehicle is not crashed afterwards, else 0.0."""
     if m[SV_TUMBLED] == 0.0:
@@ -197,13 +197,13 @@ def supervisor_request_recovery(m):
     return 1.0 - m[SV_CRASHED]
 
 
-@kernel(_nrt=False)
+@kernel
 def supervisor_feed_watchdog(m, now_ms):
     """Notify the emergency-stop watchdog, which is active from its first notification on."""
     m[SV_WATCHDOG] = now_ms
 
 
-@kernel(_nrt=False)
+@kernel
 def _tumbled(m, p, now_ms, ax, ay, az):
     if p[SVP_TUMBLE_CHECK] == 0.0:
         return False
@@ -217,7 +217,7 @@ def _tumbled(m, p, now_ms, ax, ay, az):
     return tilted > _TILT_MS or (az < -0.2 and tilted > _UPSIDE_DOWN_MS)
 
 
-@kernel(_nrt=False)
+@kernel
 def supervisor_update(m, p, state, now_ms, setpoint_ms, motor_max, idle, planner, finished):
     """Evaluate the conditions and advance the state machine (25 Hz).
 
@@ -272,7 +272,7 @@ def supervisor_update(m, p, state, now_ms, setpoint_ms, motor_max, idle, planner
     m[SV_INFO] = _info(m, following, planner, finished)
 
 
-@kernel(_nrt=False)
+@kernel
 def _enter(m, state, now_ms):
     if state == PREFLIGHT_PASSED and m[SV_AUTO_ARM] != 0.0:
         m[SV_ARMED] = 1.0
@@ -292,7 +292,7 @@ def _enter(m, state, now_ms):
         m[SV_ARMED] = 0.0
 
 
-@kernel(_nrt=False)
+@kernel
 def _info(m, state, planner, finished):
     info = 0
     if state == PREFLIGHT_PASSED:
@@ -322,7 +322,7 @@ def _info(m, state, planner, finished):
     return info
 
 
-@kernel(_nrt=False)
+@kernel
 def supervisor_override(m, setpoint):
     """Replace the setpoint as the state demands: kept, levelled out, or null."""
     state = m[SV_STATE]

@@ -16,7 +16,7 @@ _FIRMWARE_G, _FIRMWARE_LOOPS, _RUNNING = -0.5, 15, 1000.0
 _COMPETITION_G, _COMPETITION_TICKS = -0.5, 30
 
 
-@kernel(_nrt=False)
+@kernel
 def tumble_2022(m, acc_z, motor_sum):
     """Update from the body z specific force (g) of one 1000 Hz loop; True once tumbled.
 
@@ -32,7 +32,7 @@ def tumble_2022(m, acc_z, motor_sum):
     return m[TB_TUMBLED] != 0.0
 
 
-@kernel(_nrt=False)
+@kernel
 def tumble_competition(m, acc_z_world):
     """Update from the world z acceleration plus 1 (g) of one 500 Hz tick; True once tumbled."""
     if acc_z_world < _COMPETITION_G:

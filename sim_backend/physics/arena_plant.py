@@ -68,7 +68,7 @@ def default_plant() -> np.ndarray:
     return plant
 
 
-@kernel(_nrt=False)
+@kernel
 def open_circuit_volts(drawn):
     """Battery voltage without load after a share ``drawn`` of its charge."""
     if drawn < _KNEE:
@@ -77,13 +77,13 @@ def open_circuit_volts(drawn):
     return _KNEE_VOLTS + (_EMPTY_VOLTS - _KNEE_VOLTS) * rest
 
 
-@kernel(_nrt=False)
+@kernel
 def thrust_of_volts(volts):
     """Steady thrust (N) of one motor."""
     return max(0.0, _THRUST[0] + volts * (_THRUST[1] + volts * (_THRUST[2] + volts * _THRUST[3])))
 
 
-@kernel(_nrt=False)
+@kernel
 def arena_step(body, plant, motors, fx, fy, fz, dt):
     """Advance one vehicle by ``dt`` s, without contacts.
 
@@ -114,7 +114,7 @@ def arena_step(body, plant, motors, fx, fy, fz, dt):
     step(body, plant, f4, f3, f2, f1, fx, fy, fz, 0.0, 0.0, 0.0, dt)
 
 
-@kernel(_nrt=False)
+@kernel
 def is_asleep(body, motors, fx, fy, fz):
     """True for a vehicle that has come to rest on something: nothing moves it until a motor
     turns or a force (N) acts, and a parked fleet then costs next to nothing."""
@@ -127,7 +127,7 @@ def is_asleep(body, motors, fx, fy, fz):
     )
 
 
-@kernel(_nrt=False)
+@kernel
 def note_contact(body, contact):
     """Remember the contact code of a tick and whether the vehicle lay still in it."""
     body[AB_CONTACT] = contact
@@ -142,7 +142,7 @@ def note_contact(body, contact):
         body[AB_REST] = 0.0
 
 
-@kernel(_nrt=False)
+@kernel
 def note_acceleration(body, vx, vy, vz, dt):
     """Write AB_ACCELERATION from the velocity (m/s, world) ``dt`` s ago, contacts included."""
     ax = (body[B_VEL] - vx) / dt

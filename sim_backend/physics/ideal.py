@@ -57,7 +57,7 @@ MODE_VELOCITY = 4
 MODE_HOVER = 5
 
 
-@kernel(_nrt=False)
+@kernel
 def _start_at(mem, state):
     # The point that the next plan starts from: the present state, at rest.
     for k in range(EVAL_SIZE):
@@ -67,7 +67,7 @@ def _start_at(mem, state):
     mem[PL_EVAL + EV_YAW] = state[MO_YAW]
 
 
-@kernel(_nrt=False)
+@kernel
 def plan_vertical(mem, state, t, height, duration, yaw, landing):
     """Plan a takeoff or landing from the present state to ``height`` (m) and ``yaw`` (rad)."""
     _start_at(mem, state)
@@ -76,7 +76,7 @@ def plan_vertical(mem, state, t, height, duration, yaw, landing):
     mem[PL_STATE] = LANDING if landing else FLYING
 
 
-@kernel(_nrt=False)
+@kernel
 def plan_go_to(mem, memory, state, t, x, y, z, yaw, duration, relative):
     """Plan from the present setpoint to a goal at rest; ``relative`` adds it to the setpoint."""
     if mem[PL_STATE] == IDLE:
@@ -92,7 +92,7 @@ def plan_go_to(mem, memory, state, t, x, y, z, yaw, duration, relative):
     mem[PL_STATE] = FLYING
 
 
-@kernel(_nrt=False)
+@kernel
 def plan_trajectory(mem, memory, state, t, count, scale, reverse, relative):
     """Follow the ``count`` pieces in ``memory``, shifted to the present state if ``relative``."""
     start_pieces(mem, memory, t, 0, count, scale, reverse)
@@ -102,7 +102,7 @@ def plan_trajectory(mem, memory, state, t, count, scale, reverse, relative):
     mem[PL_STATE] = FLYING
 
 
-@kernel(_nrt=False)
+@kernel
 def freeze(mem, state):
     """Stay in place with nobody in charge."""
     mem[PL_STATE] = IDLE
@@ -113,7 +113,7 @@ def freeze(mem, state):
     return MODE_IDLE
 
 
-@kernel(_nrt=False)
+@kernel
 def choose_setpoint(mode, mem, memory, t, dt, state, stream, setpoint):
     """Write the setpoint (MO_*) of one vehicle for time ``t`` (s).
 
@@ -146,7 +146,7 @@ def choose_setpoint(mode, mem, memory, t, dt, state, stream, setpoint):
         setpoint[MO_VEL + 2] = (stream[MO_POS + 2] - state[MO_POS + 2]) / dt
 
 
-@kernel(_nrt=False)
+@kernel
 def follow_setpoint(mode, setpoint, dt, max_velocity, disturbance, noise, state):
     """Move one vehicle onto its setpoint within ``dt`` (s).
 
@@ -179,7 +179,7 @@ def follow_setpoint(mode, setpoint, dt, max_velocity, disturbance, noise, state)
         state[k] = setpoint[k]
 
 
-@kernel(_nrt=False)
+@kernel
 def _gather_peers(positions, peers, vehicle, found):
     # A count that starts as a literal in the caller would have its callees compiled twice.
     count = 0
@@ -191,7 +191,7 @@ def _gather_peers(positions, peers, vehicle, found):
     return count
 
 
-@kernel(_nrt=False)
+@kernel
 def _avoid(mode, avoidance, memory, own, positions, peers, vehicle, setpoint, work):
     """Bend a setpoint around the peers; what is left of it is position, velocity and yaw."""
     found, faces, sp = work
@@ -219,13 +219,13 @@ def _avoid(mode, avoidance, memory, own, positions, peers, vehicle, setpoint, wo
     setpoint[MO_OMEGA + 1] = 0.0
 
 
-@kernel(_nrt=False)
+@kernel
 def has_landed(mem, memory, t):
     """Whether a landing has come to its end."""
     return mem[PL_STATE] == LANDING and is_finished(mem, memory, t)
 
 
-@kernel(_nrt=False)
+@kernel
 def advance_fleet(
     t,
     dt,

@@ -22,7 +22,7 @@ from tests.recorded import arrays, vector_files
 FILES = list(vector_files("meas_pos", "init_P", "rows_P", "attitude_reversion"))
 
 
-@kernel
+@kernel(_nrt=True)
 def _run(m, p, now, flying, gyro, acc, kinds, pos, quat, estimates, states, covariances):
     state = np.zeros(STATE_SIZE)
     measurement = np.zeros(7)
