@@ -61,7 +61,10 @@ class LinkStatistics:
     lanes: by class. pings, pings_lost: echoes that had time to come back, and those that did
     not; round_trip_loss their ratio over the last 50, None before the first; latency_p50,
     latency_p95: round trip, s, over those. log_packets, log_missed: packets of the log blocks
-    that came, and those that their time stamps show missing: the loss of the downlink alone.
+    that came, and those that their time stamps show missing. uplink_sent, uplink_arrived:
+    packets to the vehicle since it first told its own count, and how many it got; 0 where its
+    firmware does not count. A Crazyradio repeats what is not acknowledged, so that loss shows
+    as latency there.
     """
 
     lanes: dict[Lane, LaneStatistics]
@@ -72,6 +75,8 @@ class LinkStatistics:
     latency_p95: float | None
     log_packets: int
     log_missed: int
+    uplink_sent: int
+    uplink_arrived: int
 
     @property
     def downlink_loss(self) -> float | None:
@@ -81,12 +86,10 @@ class LinkStatistics:
 
     @property
     def uplink_loss(self) -> float | None:
-        """Share of the packets to the vehicle that were lost, from the two others."""
-        if self.round_trip_loss is None or self.downlink_loss is None:
+        """Share of the packets to the vehicle that did not arrive."""
+        if not self.uplink_sent:
             return None
-        if self.downlink_loss >= 1.0:
-            return None
-        return max(0.0, 1.0 - (1.0 - self.round_trip_loss) / (1.0 - self.downlink_loss))
+        return max(0.0, 1.0 - self.uplink_arrived / self.uplink_sent)
 
 
 class Pings:
@@ -172,7 +175,10 @@ class VehicleLink:
         self._budget = budget
         self._events = events
         self.outbox = Outbox(options.outbox, budget, self._take_over)
-        self.telemetry = TelemetryReader(clock, options.state_rate, options.health_rate)
+        self._packets_sent = 0
+        self.telemetry = TelemetryReader(
+            clock, options.state_rate, options.health_rate, lambda: self._packets_sent
+        )
         self.pings = Pings()
         self.client: Client | None = None
         self.connected = False
@@ -213,7 +219,7 @@ class VehicleLink:
         client.connection_lost.add_callback(lambda _, why: self._fail(client, why))
         client.disconnected_link_error.add_callback(lambda _, why: self._fail(client, why))
         client.packet_received.add_callback(self._heard)
-        client.packet_sent.add_callback(lambda _: self._budget.spend(self._clock.now()))
+        client.packet_sent.add_callback(self._went_out)
         client.add_port_callback(CRTPPort.SETPOINT_HL, self._high_level_answer)
         client.add_header_callback(self._echo, CRTPPort.LINKCTRL, 0)
         client.link_statistics.link_quality_updated.add_callback(
@@ -311,6 +317,11 @@ class VehicleLink:
 
     def _heard(self, _: Any) -> None:
         self.last_heard = self._clock.now()
+
+    def _went_out(self, _: Any) -> None:
+        # Whoever sent it, cflib included.
+        self._packets_sent += 1
+        self._budget.spend(self._clock.now())
 
     def _echo(self, packet: Any) -> None:
         self.pings.received(bytes(packet.data), self._clock.now())
@@ -724,4 +735,5 @@ class VehicleLink:
             high,
             received,
             missed,
+            *self.telemetry.uplink(),
         )

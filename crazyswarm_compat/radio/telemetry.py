@@ -28,7 +28,9 @@ HIGH_LEVEL_ACTIVE, TRAJECTORY_FINISHED, HIGH_LEVEL_DISABLED = (1 << bit for bit 
 # create blocks of up to nine variables.
 _MOTION = ("x", "y", "z", "vx", "vy", "vz", "quat")
 _RATES = ("rateRoll", "ratePitch", "rateYaw")
-_HEALTH = ("pm.vbat", "supervisor.info", "radio.rssi")
+# The last is the vehicle's own count of the packets it got.
+_COUNT = "radio.numRxUc"
+_HEALTH = ("pm.vbat", "supervisor.info", "radio.rssi", _COUNT)
 # What firmware before the supervisor told instead.
 _OLD_FLAGS = (("sys.canfly", CAN_FLY), ("sys.isFlying", FLYING), ("sys.isTumbled", TUMBLED))
 _TICKS = 1 << 24
@@ -123,10 +125,17 @@ class TelemetryReader:
     ----------
     clock: session clock.
     state_rate, health_rate: of the two blocks, Hz; 0 for none.
+    sent: how many packets have gone to the vehicle by now.
     """
 
-    def __init__(self, clock: Clock, state_rate: float, health_rate: float) -> None:
+    def __init__(
+        self, clock: Clock, state_rate: float, health_rate: float, sent: Callable[[], int]
+    ) -> None:
         self._clock = clock
+        self._sent = sent
+        self._count: int | None = None
+        self._uplink = (0, 0)  # sent, arrived
+        self._sent_before = 0
         self._rates = (state_rate, health_rate)
         self._lock = threading.Lock()
         self._blocks: list[Block] = []
@@ -143,6 +152,7 @@ class TelemetryReader:
         out."""
         state_rate, health_rate = self._rates
         self._blocks = []
+        self._count, self._uplink = None, (0, 0)
         motion = [f"stateEstimateZ.{name}" for name in _MOTION]
         if state_rate and all(knows(client, name) for name in motion):
             self._blocks.append(
@@ -167,6 +177,21 @@ class TelemetryReader:
         """Log packets received and missed on this connection."""
         blocks = tuple(self._blocks)
         return sum(block.packets for block in blocks), sum(block.missed for block in blocks)
+
+    def uplink(self) -> tuple[int, int]:
+        """Packets sent on this connection and how many of them arrived, by the vehicle's own
+        count; (0, 0) where it has none."""
+        return self._uplink
+
+    def _count_uplink(self, count: int) -> None:
+        sent = self._sent()
+        if self._count is not None:
+            arrived = (count - self._count) & 0xFFFF
+            total = self._uplink[0] + sent - self._sent_before
+            # A count that never moves is none.
+            if arrived or self._uplink[1]:
+                self._uplink = (total, self._uplink[1] + arrived)
+        self._count, self._sent_before = count, sent
 
     def _update(self, **changes: Any) -> None:
         with self._lock:
@@ -193,6 +218,8 @@ class TelemetryReader:
             changes["battery"] = float(values["pm.vbat"])
         if "radio.rssi" in values:
             changes["rssi"] = -float(values["radio.rssi"])
+        if _COUNT in values:
+            self._count_uplink(int(values[_COUNT]))
         if "supervisor.info" in values:
             changes["supervisor"] = int(values["supervisor.info"])
         elif "sys.canfly" in values:

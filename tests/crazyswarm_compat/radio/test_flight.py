@@ -286,7 +286,8 @@ def test_twenty_seconds_of_full_state_over_a_bad_link(world):
     link = hangar.server.links[0]
     lost_before = link.uplink.counters.lost
     carried_before = link.uplink.counters.carried
-    sent_before = backend.statistics(1).lanes[Lane.SETPOINT].sent
+    before = backend.statistics(1)
+    sent_before = before.lanes[Lane.SETPOINT].sent
     errors = []
     for k in range(600):
         target = circle(k / RATE)
@@ -301,11 +302,14 @@ def test_twenty_seconds_of_full_state_over_a_bad_link(world):
     assert not hangar.info() & LOCKED
     assert max(errors) < 0.5
     assert statistics.lanes[Lane.SETPOINT].sent - sent_before == pytest.approx(600, abs=5)
-    # What was lost shows: echoes, log packets, and from both the loss on the way up.
+    # What was lost shows, in both directions.
     true_loss = (link.uplink.counters.lost - lost_before) / (
         link.uplink.counters.carried - carried_before
     )
-    print(f"lost {true_loss:.3f}, statistics {statistics}, RMS {np.mean(np.square(errors)) ** 0.5}")
+    sent = statistics.uplink_sent - before.uplink_sent
+    told_loss = 1.0 - (statistics.uplink_arrived - before.uplink_arrived) / sent
+    print(f"lost {true_loss:.3f}, told {told_loss:.3f}, RMS {np.mean(np.square(errors)) ** 0.5}")
     assert 0.02 < true_loss < 0.08
+    assert told_loss == pytest.approx(true_loss, abs=0.02)
     assert 0.02 < statistics.downlink_loss < 0.09
     assert statistics.latency_p50 > 0.014
