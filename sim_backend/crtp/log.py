@@ -87,9 +87,9 @@ class LogService:
         if packet.channel != _CONTROL or not packet.data:
             return []
         command, rest = packet.data[0], packet.data[1:]
+        status, data = OK, list[bytes]()
         if command == _RESET:
             self.reset()
-            status, data = OK, []
         elif not rest:
             return []
         else:

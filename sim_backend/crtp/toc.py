@@ -38,7 +38,7 @@ class CType:
         """Convert as a C cast on the vehicle would, but saturating; NaN becomes integer 0."""
         if self.code in "fe":
             try:
-                return struct.pack("<" + self.code, value)
+                return struct.pack("<" + self.code, float(value))
             except OverflowError:
                 return struct.pack("<" + self.code, math.copysign(math.inf, value))
         if isinstance(value, float):

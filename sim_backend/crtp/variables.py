@@ -32,6 +32,10 @@ def _cell(row, index: int, scale: float = 1.0, offset: float = 0.0) -> Getter:
     return lambda: scale * row[index] + offset
 
 
+def _bit(guard, bit: int) -> Getter:
+    return lambda: int(int(guard[sv.SV_INFO]) & bit != 0)
+
+
 def getters(rows: VehicleRows) -> dict[str, Getter]:
     """Functions that read the log variables which the simulation models, by full name."""
     table: dict[str, Getter] = {}
@@ -91,12 +95,9 @@ def getters(rows: VehicleRows) -> dict[str, Getter]:
     guard = rows.supervisor
     table["supervisor.info"] = _cell(guard, sv.SV_INFO)
     table["supervisor.accNorm"] = lambda: math.hypot(*state[la.ST_ACCEL : la.ST_ACCEL + 3])
-    for name, bit in (
-        ("canfly", sv.INFO_CAN_FLY),
-        ("isFlying", sv.INFO_FLYING),
-        ("isTumbled", sv.INFO_TUMBLED),
-    ):
-        table[f"sys.{name}"] = lambda bit=bit: int(int(guard[sv.SV_INFO]) & bit != 0)
+    table["sys.canfly"] = _bit(guard, sv.INFO_CAN_FLY)
+    table["sys.isFlying"] = _bit(guard, sv.INFO_FLYING)
+    table["sys.isTumbled"] = _bit(guard, sv.INFO_TUMBLED)
 
     table["pm.vbat"] = _cell(body, AB_VOLTS)
     table["pm.vbatMV"] = _cell(body, AB_VOLTS, 1000.0)

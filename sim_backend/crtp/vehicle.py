@@ -23,6 +23,7 @@ from crazyarena.sim_backend.crtp.supervisor import SupervisorService
 from crazyarena.sim_backend.crtp.variables import getters
 from crazyarena.sim_backend.physics.arena_plant import (
     AB_CHARGE,
+    AB_VOLTS,
     AP_CAPACITY,
     open_circuit_volts,
 )
@@ -169,6 +170,8 @@ class VirtualCrazyflie:
                 high = middle
         rows = self.flight.rows
         rows.body[AB_CHARGE] = high * rows.plant[AP_CAPACITY]
+        # A parked vehicle draws no current, so that nothing would bring this up to date.
+        rows.body[AB_VOLTS] = open_circuit_volts(high)
 
     def _read(self, ident: int) -> float:
         getter = self._getters[ident]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -400,3 +401,30 @@ def test_swarm_of_ten(vehicles: VirtualProcess, cache: Path) -> None:
             wait_until(lambda: not scf.cf.supervisor.is_flying)
 
         swarm.parallel_safe(land)
+
+
+@pytest.mark.slow
+def test_full_state_flight_over_a_bad_link(cache: Path) -> None:
+    """20 s at 50 Hz, with lost and late packets; the vehicle's end counts what was lost."""
+    options = ("--port", "0", "--feed-poses", "100", "--loss", "5%", "--latency", "8ms±3ms")
+    with (
+        virtual_process(*options) as process,
+        SyncCrazyflie(process.uris[0], cf=Crazyflie(rw_cache=str(cache))) as connection,
+    ):
+        connection.wait_for_params()
+        cf = connection.cf
+        estimate = Estimate(cf)
+        start = estimate.position
+        _stream(cf, 20.0, start, 0.6)
+        assert estimate.position == pytest.approx(start + (0.0, 0.0, 0.6), abs=0.1)
+        for _ in range(3):
+            cf.commander.send_notify_setpoint_stop()
+        cf.high_level_commander.land(0.0, 1.5)
+        wait_until(lambda: estimate.position[2] < 0.06)
+        wait_until(lambda: not cf.supervisor.is_flying)
+        found = re.search(r"received (\d+) \(lost (\d+), repeated (\d+)", process.command("status"))
+        assert found is not None
+        received, lost, repeated = (int(number) for number in found.groups())
+        assert received > 1500
+        assert 0.02 * 1000 < lost < 0.1 * received
+        assert repeated > 0

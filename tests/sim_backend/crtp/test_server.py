@@ -13,6 +13,7 @@ from crazyarena.clock import WallClock
 from crazyarena.errors import InputError
 from crazyarena.mocap.camera_model import CameraModel
 from crazyarena.mocap.sim_source import SimSource
+from crazyarena.mocap.zenoh_link import ZenohSource
 from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.crtp import host as hosts
 from crazyarena.sim_backend.crtp.faults import Faults
@@ -265,3 +266,22 @@ def test_faults_are_each_vehicles_own() -> None:
     server.set_faults(0, loss=0.1)
     assert [link.faults.loss for link in server.links] == [0.1, 0.5]
     server.close()
+
+
+def test_true_poses_over_zenoh() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    host = hosts.build(hosts.Options(count=2, port=0, mocap_endpoint=endpoint))
+    source = ZenohSource(WallClock(), connect=[endpoint])
+    try:
+        host.server.start()
+        frames: list[PoseFrame] = []
+        _wait(lambda: frames.extend(source.frames(0.1)) or len(frames) >= 30, 30.0)
+    finally:
+        source.close()
+        host.close()
+    rate = (len(frames) - 1) / (frames[-1].timestamp - frames[0].timestamp)
+    assert rate == pytest.approx(120.0, rel=0.05)
+    assert set(frames[-1].bodies) == {"cf1", "cf2"}
+    assert frames[-1].bodies["cf2"].position == pytest.approx((0.0, 0.5, 0.0135), abs=1e-3)

@@ -1,0 +1,330 @@
+"""Single services of the virtual Crazyflie, without sockets."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from crazyarena.sim_backend.arena import PARAMS
+from crazyarena.sim_backend.crtp.console import ConsoleService
+from crazyarena.sim_backend.crtp.log import MAX_BLOCKS
+from crazyarena.sim_backend.crtp.setpoints import compress_quaternion
+from crazyarena.sim_backend.crtp.toc import TYPES, param_entries
+from crazyarena.sim_backend.crtp.vehicle import Hardware
+from crazyarena.sim_backend.firmware.supervisor import INFO_CRASHED, INFO_FLYING
+from tests.sim_backend.crtp.recordings import Bench
+
+
+@pytest.fixture
+def bench() -> Bench:
+    bench = Bench(Hardware.FULL)
+    bench.run_to(1000)
+    return bench
+
+
+def _log_id(bench: Bench, name: str) -> int:
+    return [entry.name for entry in bench.vehicle.log.entries].index(name)
+
+
+def _param_id(name: str) -> int:
+    return [entry.name for entry in param_entries()].index(name)
+
+
+def _read_logs(bench: Bench, *names: str) -> dict[str, float]:
+    """Values of float variables by one-shot log blocks."""
+    values = {}
+    for name in names:
+        bench.ask(b"\x5d\x06\x63\x77" + struct.pack("<H", _log_id(bench, name)))
+        _, data = bench.ask("5d036300")
+        bench.ask("5d0263")
+        values[name] = struct.unpack_from("<f", data, 5)[0]
+    return values
+
+
+# Types
+
+
+@given(st.sampled_from(sorted(TYPES)), st.floats() | st.integers(-(2**70), 2**70))
+def test_every_number_has_a_place_in_every_type(name: str, value: float) -> None:
+    ctype = TYPES[name]
+    data = ctype.pack(value)
+    assert len(data) == ctype.size
+    back = ctype.unpack(data)
+    if name not in ("float", "fp16") and abs(value) < 100 and (value >= 0 or name[0] == "i"):
+        assert back == math.trunc(value)
+
+
+def test_simulated_parameters_have_the_types_of_the_table() -> None:
+    """So that no value a client can write is beyond what the simulation takes."""
+    table = {entry.name: entry.ctype.name for entry in param_entries()}
+    shared = {p.name: p.ctype for p in PARAMS if p.name in table}
+    assert len(shared) > 100
+    assert shared == {name: table[name] for name in shared}
+
+
+# Parameters
+
+
+def test_a_written_gain_reaches_the_controller(bench: Bench) -> None:
+    number = _param_id("ctrlMel.kp_xy")
+    request = b"\x2e" + struct.pack("<Hf", number, 0.7)
+    assert bench.ask(request) == [request]
+    assert bench.fleet.get_param(0, "ctrlMel.kp_xy") == pytest.approx(0.7)
+    # And what the simulation changes itself, a client reads.
+    bench.fleet.set_param(0, "ctrlMel.kp_xy", 0.9)
+    assert bench.ask(b"\x2d" + struct.pack("<H", number))[0][4:] == struct.pack("<f", 0.9)
+
+
+def test_a_parameter_nothing_models_keeps_its_value(bench: Bench) -> None:
+    number = _param_id("ring.fadeTime")
+    bench.ask(b"\x2e" + struct.pack("<Hf", number, 2.5))
+    assert bench.ask(b"\x2d" + struct.pack("<H", number))[0][4:] == struct.pack("<f", 2.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "value", "status"),
+    [
+        (b"ring\0solidRed", 0x08, b"\x11", 0),
+        (b"ring\0nosuch", 0x08, b"\x11", 2),
+        (b"deck\0bcFlow2", 0x08, b"\x00", 13),
+        (b"ring\0solidRed", 0x06, bytes(4), 22),
+    ],
+)
+def test_set_by_name(bench: Bench, name: bytes, code: int, value: bytes, status: int) -> None:
+    answers = bench.ask(b"\x2f\0" + name + bytes((0, code)) + value)
+    assert answers == [b"\x2f\0" + name + bytes((0, status))]
+
+
+def test_store_clear_and_reboot(bench: Bench) -> None:
+    number = struct.pack("<H", _param_id("posCtlPid.xKp"))
+    write = b"\x2e" + number + struct.pack("<f", 1.5)
+    assert bench.ask(b"\x2f\x05" + number) == [b"\x2f\x05" + number + b"\x02"]
+    bench.ask(write)
+    assert bench.ask(b"\x2f\x03" + number) == [b"\x2f\x03" + number + b"\x00"]
+    state = b"\x2f\x04" + number + b"\x01" + struct.pack("<ff", 2.0, 1.5)
+    assert bench.ask(b"\x2f\x04" + number) == [state]
+    bench.vehicle.reboot()
+    assert bench.fleet.get_param(0, "posCtlPid.xKp") == 1.5
+    assert bench.ask(b"\x2f\x05" + number) == [b"\x2f\x05" + number + b"\x00"]
+    bench.vehicle.reboot()
+    assert bench.fleet.get_param(0, "posCtlPid.xKp") == 2.0
+
+
+# Logs
+
+
+def test_log_block_in_all_its_types(bench: Bench) -> None:
+    number = struct.pack("<H", _log_id(bench, "pm.vbatMV"))
+    volts = 1000.0 * (bench.fleet.telemetry(0).battery or 0.0)
+    for code, layout in ((1, "B"), (2, "H"), (3, "I"), (4, "b"), (5, "h"), (6, "i"), (7, "f")):
+        bench.ask(bytes((0x5D, 6, code, 0x20 | code)) + number)
+        _, data = bench.ask(bytes((0x5D, 3, code, 0)))
+        value = struct.unpack_from("<" + layout, data, 5)[0]
+        limit = {1: 255, 4: 127}.get(code, 65535)
+        assert value == pytest.approx(min(volts, limit), abs=1)
+
+
+def test_log_periods(bench: Bench) -> None:
+    bench.ask(b"\x5d\x06\x01\x77" + struct.pack("<H", _log_id(bench, "pm.vbat")))
+    for start, period in ((b"\x5d\x03\x01\x01", 10), (b"\x5d\x08\x01\x19\x00", 25)):
+        bench.heard.clear()
+        bench.ask(start)
+        bench.run_to(bench.fleet.tick + 1000)
+        assert len(bench.heard) == pytest.approx(1000 / period, abs=1)
+    bench.ask("5d0401")
+    bench.heard.clear()
+    bench.run_to(bench.fleet.tick + 100)
+    assert bench.heard == []
+
+
+def test_log_capacity(bench: Bench) -> None:
+    for ident in range(MAX_BLOCKS):
+        assert bench.ask(bytes((0x5D, 6, ident)))[0][-1] == 0
+    assert bench.ask(bytes((0x5D, 6, 99)))[0][-1] == 12
+    # 128 variables of all blocks together: eight bytes a block, sixteen blocks.
+    eight = 8 * (b"\x11" + struct.pack("<H", _log_id(bench, "pm.state")))
+    for ident in range(MAX_BLOCKS):
+        assert bench.ask(bytes((0x5D, 7, ident)) + eight)[0][-1] == 0
+    assert bench.ask(b"\x5d\x07\x00" + eight[:3])[0][-1] == 12
+    assert bench.ask("5d05")[0][-1] == 0
+    assert bench.ask(b"\x5d\x09\x00")[0][-1] == 8
+
+
+def test_logged_estimate_is_the_estimate(bench: Bench) -> None:
+    state = bench.fleet.telemetry(0).state
+    assert state is not None
+    names = [f"stateEstimate.{axis}" for axis in "xyz"]
+    assert list(_read_logs(bench, *names).values()) == pytest.approx(state.position, abs=1e-6)
+    flight = _read_logs(bench, "acc.z", "stateEstimateZ.az", "kalman.varX")
+    assert flight["acc.z"] == pytest.approx(1.0, abs=0.02)
+    assert flight["stateEstimateZ.az"] == pytest.approx(9810.0, rel=0.02)
+    assert 0.0 < flight["kalman.varX"] < 1.0
+
+
+# Setpoints and commands
+
+
+def test_legacy_thrust_is_locked_until_a_zero(bench: Bench) -> None:
+    def setpoint(thrust: int) -> None:
+        for _ in range(20):
+            bench.ask(b"\x3c" + struct.pack("<fffH", 0.0, 0.0, 0.0, thrust))
+            bench.run_to(bench.fleet.tick + 20)
+
+    setpoint(30000)
+    assert not bench.vehicle.flight.rows.motors.any()
+    setpoint(0)
+    setpoint(30000)
+    assert bench.vehicle.flight.rows.motors.all()
+
+
+def test_takeoff_is_ignored_after_a_stream_until_the_notification(bench: Bench) -> None:
+    takeoff = b"\x8c\x07" + struct.pack("<Bff?f", 0, 0.5, 0.0, False, 1.0)
+    bench.ask(b"\x3c" + bytes(14))
+    bench.ask(takeoff)
+    bench.run_to(bench.fleet.tick + 1500)
+    assert not bench.vehicle.flight.info() & INFO_FLYING
+    bench.ask("7d0000000000")
+    bench.run_to(bench.fleet.tick + 500)
+    assert bench.fleet.true_state(0).position[2] > 0.1
+
+
+def test_group_mask(bench: Bench) -> None:
+    bench.ask("8c0004")
+    for group, flies in ((0x03, False), (0x06, True)):
+        bench.ask(b"\x8c\x07" + struct.pack("<Bff?f", group, 0.5, 0.0, False, 1.0))
+        bench.run_to(bench.fleet.tick + 700)
+        assert bool(bench.vehicle.flight.info() & INFO_FLYING) is flies
+
+
+def test_an_unknown_high_level_command_is_refused(bench: Bench) -> None:
+    assert bench.ask("8c630000") == [bytes.fromhex("8c63000008")]
+    assert bench.ask("8c07000000") == [bytes.fromhex("8c07000008")]
+
+
+# Localization
+
+
+def test_poses_single_and_packed() -> None:
+    bench = Bench()
+    bench.swarm._feed_period = None
+    # On the ground the estimator is slow to take a heading that it is told to doubt.
+    bench.fleet.set_param(0, "locSrv.extQuatStdDev", 4.5e-3)
+    yaw = 0.8
+    quaternion = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+    pose = b"\x6d\x08" + struct.pack("<fffffff", 1.0, 2.0, 0.5, *quaternion)
+    packed = b"\x6d\x09" + struct.pack(
+        "<BhhhIBhhhI", 1, 1500, 2000, 500, compress_quaternion(quaternion), 9, 1, 2, 3, 0
+    )
+    position = b"\x6e\x01" + struct.pack("<hhh", 900, 2000, 500)
+    for datagram, x in ((pose, 1.0), (packed, 1.5), (position, 0.9)):
+        for _ in range(100):
+            bench.ask(datagram)
+            bench.run_to(bench.fleet.tick + 10)
+        state = bench.fleet.telemetry(0).state
+        assert state is not None
+        assert state.position == pytest.approx((x, 2.0, 0.5), abs=0.08)
+        if datagram != position:
+            q = state.quaternion
+            assert 2.0 * math.atan2(q[2], q[3]) == pytest.approx(yaw, abs=0.05)
+    logs = _read_logs(bench, "locSrv.x", "ext_pos.Y")
+    assert list(logs.values()) == pytest.approx([0.9, 2.0])
+
+
+@pytest.mark.parametrize("stop", ["6d03", "9d03"])
+def test_emergency_stop_on_either_port(bench: Bench, stop: str) -> None:
+    assert bench.ask(stop) == []
+    bench.run_to(bench.fleet.tick + 200)
+    assert bench.vehicle.flight.info() & 64
+
+
+@pytest.mark.parametrize("feed", ["6d04", "9d04"])
+def test_watchdog_on_either_port(bench: Bench, feed: str) -> None:
+    bench.ask(feed)
+    bench.run_to(bench.fleet.tick + 900)
+    assert not bench.vehicle.flight.info() & 64
+    bench.run_to(bench.fleet.tick + 300)
+    assert bench.vehicle.flight.info() & 64
+
+
+# Supervisor and platform
+
+
+def test_arming_and_recovery_answers(bench: Bench) -> None:
+    assert bench.ask("9d0101") == [bytes.fromhex("91810101")]
+    assert bench.ask("9d0100") == [bytes.fromhex("91810100")]
+    assert bench.ask("9d02") == [bytes.fromhex("91820101")]
+    assert bench.ask("dc02") == [bytes.fromhex("dc0201")]
+    assert bench.ask("9c0d") == []
+    assert bench.ask("9d05") == []
+
+
+def test_single_bits_and_the_whole_field_agree(bench: Bench) -> None:
+    (field,) = bench.ask("9c0c")
+    info = int.from_bytes(field[2:4], "little")
+    assert not info & INFO_CRASHED
+    for bit in range(11):
+        (answer,) = bench.ask(bytes((0x9C, bit + 1)))
+        assert answer == bytes((0x90, 0x81 + bit, info >> bit & 1))
+
+
+def test_versions(bench: Bench) -> None:
+    assert bench.ask("dd00") == [bytes.fromhex("dd000c000000")]
+    assert bench.ask("dd01") == [b"\xdd\x012026.08"]
+    assert bench.ask("dd02") == [b"\xdd\x02CF21"]
+
+
+# Memories
+
+
+def test_memory_reads_and_writes_stay_inside(bench: Bench) -> None:
+    assert bench.ask(b"\x4d\x00" + struct.pack("<IB", 4090, 6))[0][6] == 0
+    assert bench.ask(b"\x4d\x00" + struct.pack("<IB", 4090, 7))[0][6:] == b"\x05"
+    assert bench.ask(b"\x4d\x00" + struct.pack("<IB", 0, 25))[0][6:] == b"\x05"
+    assert bench.ask(b"\x4e\x00" + struct.pack("<I", 4095) + b"ab")[0][6:] == b"\x05"
+    assert bench.ask(b"\x4d\x63" + struct.pack("<IB", 0, 1))[0][6:] == b"\x02"
+    bench.ask(b"\x4e\x00" + struct.pack("<I", 7) + b"abc")
+    assert bench.ask(b"\x4d\x00" + struct.pack("<IB", 7, 3))[0][7:] == b"abc"
+    assert bytes(bench.fleet.trajectories[0, 7:10]) == b"abc"
+
+
+def test_wrong_writes_to_the_tester_are_counted(bench: Bench) -> None:
+    bench.ask(b"\x4e\x01" + struct.pack("<I", 16) + bytes((16, 17, 99)))
+    assert _read_logs(bench, "memTst.errCntW")["memTst.errCntW"] == 1.0
+
+
+# Console
+
+
+@given(st.lists(st.text(max_size=60), max_size=10))
+def test_console_text_arrives_whole(texts: list[str]) -> None:
+    console = ConsoleService()
+    for text in texts:
+        console.write(text)
+    console.write("\n")
+    packets = console.take()
+    assert all(packet[0] == 0 and 1 < len(packet) <= 31 for packet in packets)
+    sent = "".join(texts).encode("latin-1", "replace") + b"\n"
+    assert b"".join(packet[1:] for packet in packets) == sent
+    assert console.take() == []
+
+
+def test_console_text_reaches_the_client(bench: Bench) -> None:
+    bench.vehicle.console.write("SYS: hello\n")
+    bench.run_to(bench.fleet.tick + 10)
+    assert (b"\x00SYS: hello\n") in [datagram for _, datagram in bench.heard]
+
+
+# Battery
+
+
+@pytest.mark.parametrize("volts", [3.0, 3.5, 4.0, 4.2])
+def test_battery_voltage(bench: Bench, volts: float) -> None:
+    bench.vehicle.set_battery(volts)
+    bench.run_to(bench.fleet.tick + 10)
+    assert _read_logs(bench, "pm.vbat")["pm.vbat"] == pytest.approx(volts, abs=0.03)
+    assert np.isfinite(bench.fleet.bodies).all()
