@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,16 @@ from crazyarena.errors import InputError
 from crazyarena.levels import load_level
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level, Profile
+from crazyarena.runner.compute import FREE
+from crazyarena.runner.contender import Contender, InProcess
 from crazyarena.runner.contestant import Submission, entry_file
+from crazyarena.runner.crew import Crew, MeasuredTrack
+from crazyarena.runner.flight import FlightTrial
+from crazyarena.runner.flight_options import FlightOptions
 from crazyarena.runner.recording import Recorder
 from crazyarena.runner.report import provenance, table, write_result
 from crazyarena.runner.result import EpisodeResult, TrialResult
+from crazyarena.runner.tracked_world import TrackedWorld
 from crazyarena.runner.trial import Trial
 from crazyarena.runner.world import World
 from crazyarena.sim_backend import jit
@@ -35,16 +41,15 @@ def example_racer() -> Path:
     raise InputError("the example racer is not part of this installation. Pass a submission")
 
 
-def make_world(level: Level) -> World:
-    """Return the simulated world of a level's profile."""
-    if level.profile is not Profile.COMPETITION:
-        raise InputError(
-            f"level {level.name}: profile '{level.profile.value}' cannot be dry-run; "
-            "set profile: competition (or --set profile=competition)"
-        )
-    from crazyarena.sim_backend.competition import CompetitionWorld
+def make_world(level: Level, seed: int) -> World:
+    """Return the simulated world of a level's profile; ``seed`` is that of its noise."""
+    if level.profile is Profile.COMPETITION:
+        from crazyarena.sim_backend.competition import CompetitionWorld
 
-    return CompetitionWorld(level.control_frequency)
+        return CompetitionWorld(level.control_frequency)
+    from crazyarena.runner.rig import simulated
+
+    return TrackedWorld(simulated(level, seed))
 
 
 def _results_folder(out: Path | None, submission: Path, level: Level) -> Path:
@@ -61,6 +66,9 @@ def _results_folder(out: Path | None, submission: Path, level: Level) -> Path:
     except OSError as error:
         raise InputError(f"--out {out}: cannot make this folder: {error.strerror}") from error
     return out.resolve()
+
+
+Track = Draw | MeasuredTrack
 
 
 class _Display:
@@ -94,8 +102,11 @@ class DryRun:
         record: bool = True,
         figure: bool = True,
         console: Console | None = None,
+        options: FlightOptions | None = None,
     ) -> None:
         self._level = load_level(level, overrides)
+        self._options = options or FlightOptions()
+        self._options.check()
         self._seed = self._level.seed if seed is None else seed
         path = example_racer() if submission is None else submission
         entry_file(path.expanduser())  # a wrong path must not leave a results folder behind
@@ -111,28 +122,20 @@ class DryRun:
         """Fly, report, write ``result.json``; returns the result."""
         console = self._console
         level = self._level
-        world = make_world(level)
+        world = self._make_world()
         self.out = _results_folder(self._wanted_out, self._path, level)
         if jit.is_cold():
             console.print("Compiling the simulator; only the first run waits for this (< 1 min).")
         try:
             with contextlib.ExitStack() as stack:
                 stack.callback(world.close)
-                submission = stack.enter_context(Submission(self._path, self.out / "work"))
-                origin = provenance(level, self._seed, self._path, submission.digest)
+                contender = self._contender()
+                stack.callback(contender.close)
+                origin = provenance(level, self._seed, self._path, contender.digest)
+                origin["contestant"] = contender.description
                 progress = stack.enter_context(self._progress())
                 display = _Display(progress, level.episode_length, self._episodes)
-                result = Trial(
-                    level,
-                    submission,
-                    world,
-                    episodes=self._episodes,
-                    seed=self._seed,
-                    out=self.out if self._record else None,
-                    keep_states=self._figure,
-                    on_step=display,
-                    on_episode=self._keep,
-                ).run()
+                result = self._fly(world, contender, display, origin, stack)
         except BaseException:
             self._remove_if_empty(self.out / "work", self.out)
             raise
@@ -143,7 +146,59 @@ class DryRun:
         if result.error is not None:
             console.print(result.error, style="red", markup=False, highlight=False, soft_wrap=True)
         console.print(f"Results in {self.out}", highlight=False, soft_wrap=True)
+        for episode in result.episodes:
+            if "figure" in episode.files:
+                figure = self.out / episode.files["figure"]
+                console.print(f"Figure: {figure}", highlight=False, soft_wrap=True)
         return result
+
+    def _make_world(self) -> World:
+        return make_world(self._level, self._seed)
+
+    def _contender(self) -> Contender:
+        options, arena = self._options, self._level.profile is Profile.ARENA
+        if options.sandbox if options.sandbox is not None else arena:
+            from crazyarena.runner.sandbox.process import Sandboxed
+
+            contender = Sandboxed(self._path, options.limits, require=options.require_sandbox)
+            self._console.print(contender.announcement, highlight=False, soft_wrap=True)
+            return contender
+        return InProcess(Submission(self._path, self.out / "work"))
+
+    def _fly(
+        self,
+        world: World,
+        contender: Contender,
+        display: Callable[[int, float], None],
+        origin: dict[str, Any],
+        stack: contextlib.ExitStack,
+    ) -> TrialResult:
+        common: dict[str, Any] = {
+            "episodes": self._episodes,
+            "seed": self._seed,
+            "out": self.out if self._record else None,
+            "keep_states": self._figure,
+            "on_step": display,
+            "on_episode": self._keep,
+        }
+        deadlines = self._options.deadlines(self._level)
+        origin["deadlines"] = {
+            "compute": str(deadlines.compute),
+            "late_commands": deadlines.policy.value,
+            "max_misses": deadlines.max_misses,
+        }
+        crew = None
+        if isinstance(world, TrackedWorld):
+            origin["rig"] = world.rig.description
+            crew = self._crew(world)
+        elif isinstance(contender, InProcess) and deadlines.compute.mode == FREE:
+            return Trial(self._level, contender.submission, world, **common).run()
+        return FlightTrial(
+            self._level, contender, world, crew=crew, deadlines=deadlines, **common
+        ).run()
+
+    def _crew(self, world: TrackedWorld) -> Crew:
+        return Crew(world.rig, world, self._level)
 
     @staticmethod
     def _remove_if_empty(*folders: Path) -> None:
@@ -162,10 +217,10 @@ class DryRun:
             disable=not self._console.is_terminal,
         )
 
-    def _keep(self, result: EpisodeResult, recorder: Recorder | None, draw: Draw) -> None:
+    def _keep(self, result: EpisodeResult, recorder: Recorder | None, track: Track) -> None:
         if self._figure and recorder is not None:
             states = np.array(recorder.states)
-            self._drawings.append((result, states, draw.gates, draw.obstacles))
+            self._drawings.append((result, states, track.gates, track.obstacles))
 
     def _draw_figures(self) -> None:
         """Matplotlib is slow to import, so it comes last."""

@@ -64,7 +64,8 @@ RU_FORCE_LOW = 15  # N
 RU_FORCE_HIGH = 16
 RU_LOW = 17  # m
 RU_HIGH = 20
-RULES_SIZE = 23
+RU_LIFT_OFF = 23  # m: the ground counts as touched only after the vehicle was this high
+RULES_SIZE = 24
 
 # What the referee remembers between control steps.
 ME_TICKS = 0
@@ -76,7 +77,8 @@ ME_VIOLATED = 5  # at the previous tick
 ME_CONTACT = 6
 ME_AT_GOAL = 7
 ME_TUMBLED = 8
-MEMORY_SIZE = 9
+ME_LIFTED = 9
+MEMORY_SIZE = 10
 
 # Events: rows [kind, tick, time, value].
 EV_GATE = 1  # value: the gate passed
@@ -210,6 +212,11 @@ def judge(rules, memory, rows, scene, ground, blocked, gates, nominal, work, out
         contact = row[TR_CONTACT]
         if contact == UNKNOWN_CONTACT:
             contact = float(first_contact(scene, ground, px, py, pz, qx, qy, qz, qw, work))
+        if memory[ME_LIFTED] == 0.0:
+            if pz >= rules[RU_LIFT_OFF]:
+                memory[ME_LIFTED] = 1.0
+            elif contact == ground:
+                contact = NO_CONTACT
         if contact != memory[ME_CONTACT]:
             if contact == NO_CONTACT:
                 n_events = _note(events, n_events, EV_CONTACT_END, tick, time, memory[ME_CONTACT])

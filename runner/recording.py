@@ -241,6 +241,10 @@ class Recorder:
             self._flushed_at = now
             self.flush()
 
+    def epilogue(self, rows: NDArray[np.float64]) -> None:
+        """Store ticks (k, TRACE_SIZE) that nobody judges: the way home."""
+        self._states.extend(rows)
+
     def event(self, time: float, tick: int, name: str, detail: str = "") -> None:
         """Store something that happened at one tick."""
         text = json.dumps({"time": time, "tick": tick, "event": name, "detail": detail})

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from crazyarena.levels.schema import Level
+from crazyarena.levels.schema import Level, Profile
 from crazyarena.runner import judge as rules_kernel
 from crazyarena.runner.judge import (
     EVENT_SIZE,
@@ -54,6 +54,7 @@ from crazyarena.sim_backend.trace import (
 
 Array = NDArray[np.float64]
 
+LIFT_OFF = 0.1  # m; arena vehicles stand on the ground when their time starts
 VISIBLE_RANGE = 0.45  # m, surface to surface
 BLIND_TIME = 0.5  # s from the start in which no gate is looked at
 
@@ -357,4 +358,6 @@ def _rules(level: Level) -> Array:
     rules[k.RU_FORCE_HIGH] = FORCE_HIGH
     rules[k.RU_LOW : k.RU_LOW + 3] = level.arena.low
     rules[k.RU_HIGH : k.RU_HIGH + 3] = level.arena.high
+    # The competition's vehicles started in the air: the ground counted at once.
+    rules[k.RU_LIFT_OFF] = LIFT_OFF if level.profile is Profile.ARENA else -np.inf
     return rules

@@ -12,7 +12,10 @@ from crazyarena.runner.referee import TASK_COMPLETION, Event
 
 FINISHED = "FINISHED"
 CONTROLLER_ERROR = "CONTROLLER ERROR"
+CONTROLLER_TIMEOUT = "CONTROLLER TIMEOUT"
 INTERRUPTED = "INTERRUPTED"
+SAFETY = "SAFETY"
+ABORTED = "ABORTED"
 
 FORMAT = 1
 
@@ -23,7 +26,10 @@ class EpisodeResult:
 
     flight_time is that of the last control step's start, as the competition counts it.
     collisions and violations count control steps; compute_ms are percentiles of the wall time
-    of ``cmdFirmware``; late_ms of the start of control steps.
+    of ``cmdFirmware``; late_ms of the start of control steps; answer_ms from question to answer.
+    missed_ticks: control steps that ended without the command asked for at or before them;
+    late_commands: commands applied at a later tick than their own; phases: s by name.
+    reveals: when which gate's exact pose was told.
     """
 
     index: int
@@ -44,9 +50,14 @@ class EpisodeResult:
     over_period: int
     late_ms: dict[str, float]
     skipped_steps: int
+    missed_ticks: int = 0
+    late_commands: int = 0
+    answer_ms: dict[str, float] = field(default_factory=dict)
     error: str | None = None
     events: Sequence[Event] = field(default_factory=list)
     files: dict[str, str] = field(default_factory=dict)
+    phases: dict[str, float] = field(default_factory=dict)
+    reveals: list[dict[str, Any]] = field(default_factory=list)
 
     @property
     def clean(self) -> bool:
@@ -116,10 +127,13 @@ def percentiles_ms(seconds: np.ndarray) -> dict[str, float]:
 
 
 __all__ = [
+    "ABORTED",
     "CONTROLLER_ERROR",
+    "CONTROLLER_TIMEOUT",
     "FINISHED",
     "FORMAT",
     "INTERRUPTED",
+    "SAFETY",
     "TASK_COMPLETION",
     "EpisodeResult",
     "TrialResult",

@@ -1,13 +1,18 @@
-"""What subcommands share: turning our errors into one message and exit code 2."""
+"""What subcommands share: exit codes, turning our errors into one message, common options."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from crazyarena.errors import CrazyarenaError
+
+if TYPE_CHECKING:
+    from crazyarena.runner.control_loop import LatePolicy
 
 EXIT_NOT_CLEAN = 1
 EXIT_BAD_INPUT = 2
@@ -21,3 +26,40 @@ def bad_input_exits() -> Iterator[None]:
     except CrazyarenaError as error:
         typer.secho(f"error: {error}", err=True, fg=typer.colors.RED)
         raise typer.Exit(EXIT_BAD_INPUT) from None
+
+
+class LateChoice(StrEnum):
+    """:class:`~crazyarena.runner.control_loop.LatePolicy`, without its imports."""
+
+    HOLD = "hold"
+    EXTRAPOLATE = "extrapolate"
+    HOVER = "hover"
+
+    @property
+    def policy(self) -> LatePolicy:
+        from crazyarena.runner.control_loop import LatePolicy
+
+        return LatePolicy(self.value)
+
+
+Compute = Annotated[
+    str | None,
+    typer.Option(
+        metavar="measured|free|fixed=MS",
+        help="What thinking costs on the simulated clock. Default: measured on arena levels, "
+        "free on others. free and fixed repeat to the bit.",
+    ),
+]
+ComputeFactor = Annotated[
+    float, typer.Option(help="How many times slower than this one the flight machine is.")
+]
+Late = Annotated[
+    LateChoice,
+    typer.Option(help="What the vehicle hears at a tick whose command is late."),
+]
+MaxMisses = Annotated[
+    int, typer.Option(min=1, help="Missed ticks in a row after which the contestant is out.")
+]
+RequireSandbox = Annotated[
+    bool, typer.Option("--require-sandbox", help="Refuse to fly without a full sandbox.")
+]

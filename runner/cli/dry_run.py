@@ -7,7 +7,16 @@ from typing import Annotated
 
 import typer
 
-from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
+from crazyarena.runner.cli.common import (
+    EXIT_NOT_CLEAN,
+    Compute,
+    ComputeFactor,
+    Late,
+    LateChoice,
+    MaxMisses,
+    RequireSandbox,
+    bad_input_exits,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -36,6 +45,17 @@ def dry_run(
     ] = None,
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode.")] = True,
     figure: Annotated[bool, typer.Option(help="Write a PNG an episode.")] = True,
+    compute: Compute = None,
+    compute_factor: ComputeFactor = 1.0,
+    late: Late = LateChoice.HOLD,
+    max_misses: MaxMisses = 15,
+    sandbox: Annotated[
+        bool | None,
+        typer.Option(
+            help="Run the submission in a process of its own. Default: on arena levels only."
+        ),
+    ] = None,
+    require_sandbox: RequireSandbox = False,
 ) -> None:
     """Fly a submission in simulation and judge it by the competition's rules.
 
@@ -44,6 +64,7 @@ def dry_run(
     """
     with bad_input_exits():
         from crazyarena.runner.dry_run import DryRun
+        from crazyarena.runner.flight_options import FlightOptions
 
         run = DryRun(
             submission=submission,
@@ -54,6 +75,14 @@ def dry_run(
             out=out,
             record=record,
             figure=figure,
+            options=FlightOptions(
+                sandbox=sandbox,
+                require_sandbox=require_sandbox,
+                compute=compute,
+                factor=compute_factor,
+                late=late.policy,
+                max_misses=max_misses,
+            ),
         )
         result = run.run()
     if not result.clean:

@@ -165,7 +165,6 @@ track:
         ({"bad.py": "x = 1"}, ["bad.py"], "no class Controller"),
         ({"bad.py": controller(init="raise OSError('gone')")}, ["bad.py"], "OSError: gone"),
         ({"bad.py": "import nothing_like_it"}, ["bad.py"], "nothing_like_it"),
-        ({}, ["pilot.py", "--set", "profile=arena"], "profile"),
         ({"res": "a file"}, ["pilot.py", "--out", "res"], "--out res"),
     ],
 )

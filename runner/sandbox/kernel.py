@@ -1,0 +1,46 @@
+"""System calls that the standard library has no function for."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+
+_LIBC = ctypes.CDLL(None, use_errno=True)
+
+PR_SET_PDEATHSIG = 1
+PR_SET_DUMPABLE = 4
+PR_SET_NO_NEW_PRIVS = 38
+PR_SET_SECCOMP = 22
+
+CLONE_NEWNS = 0x00020000
+CLONE_NEWCGROUP = 0x02000000
+CLONE_NEWUTS = 0x04000000
+CLONE_NEWIPC = 0x08000000
+CLONE_NEWUSER = 0x10000000
+CLONE_NEWPID = 0x20000000
+CLONE_NEWNET = 0x40000000
+
+
+def _checked(result: int) -> int:
+    if result < 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
+    return result
+
+
+def prctl(option: int, *arguments: object) -> None:
+    """Call prctl(2); raises OSError."""
+    values = [a if not isinstance(a, int) else ctypes.c_ulong(a) for a in arguments]
+    values += [ctypes.c_ulong(0)] * (4 - len(values))
+    _checked(_LIBC.prctl(ctypes.c_int(option), *values))
+
+
+def unshare(flags: int) -> None:
+    """Call unshare(2); raises OSError."""
+    _checked(_LIBC.unshare(ctypes.c_int(flags)))
+
+
+def syscall(number: int, *arguments: object) -> int:
+    """Call any system call; raises OSError."""
+    values = [ctypes.c_long(a) if isinstance(a, int) else a for a in arguments]
+    return _checked(_LIBC.syscall(ctypes.c_long(number), *values))

@@ -1,0 +1,47 @@
+"""Resource limits of a contestant's process."""
+
+from __future__ import annotations
+
+import resource
+from dataclasses import dataclass
+
+_MIB = 1024 * 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of one contestant.
+
+    address_space, file_size: bytes, of each process and file; cpu: s of each process;
+    processes: at once; open_files: of each process; copy_size: bytes a submission may have;
+    make_timeout, hook_timeout: s of wall time for the constructor and the episode hooks.
+    """
+
+    address_space: int = 4096 * _MIB
+    cpu: int = 1800
+    processes: int = 64
+    file_size: int = 64 * _MIB
+    open_files: int = 256
+    copy_size: int = 1024 * _MIB
+    make_timeout: float = 120.0
+    hook_timeout: float = 120.0
+
+
+def apply(limits: Limits, already_running: int = 0) -> None:
+    """Impose the limits on this process and its descendants, for good.
+
+    ``already_running`` processes of the same user count against the limit of processes; they
+    are added to it.
+    """
+    for kind, value in (
+        (resource.RLIMIT_AS, limits.address_space),
+        (resource.RLIMIT_CPU, limits.cpu),
+        (resource.RLIMIT_NPROC, limits.processes + already_running),
+        (resource.RLIMIT_FSIZE, limits.file_size),
+        (resource.RLIMIT_NOFILE, limits.open_files),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        _, ceiling = resource.getrlimit(kind)
+        if ceiling != resource.RLIM_INFINITY:
+            value = min(value, ceiling)
+        resource.setrlimit(kind, (value, value))

@@ -1,0 +1,325 @@
+"""The runner's side of a contestant in a process of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pickle
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crazyarena.errors import CrazyarenaError, InputError
+from crazyarena.levels.schema import Level
+from crazyarena.runner.contender import Answer, Question
+from crazyarena.runner.contestant import entry_file, submission_hash
+from crazyarena.runner.sandbox import bubblewrap, wire
+from crazyarena.runner.sandbox.box import Box
+from crazyarena.runner.sandbox.confine import interpreter_paths, package_paths, readable
+from crazyarena.runner.sandbox.limits import Limits
+
+_NOBODY = 65534
+_START_TIMEOUT = 60.0  # s, for the interpreter to come up
+_THREADS = (
+    "OPENBLAS_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "NUMBA_NUM_THREADS",
+)
+
+
+class SandboxError(CrazyarenaError):
+    """The contestant's process could not be confined as asked for, or not started."""
+
+
+class Sandboxed:
+    """A :class:`~crazyarena.runner.contender.Contender` behind walls.
+
+    Parameters
+    ----------
+    submission: folder or .py file; it is copied, nothing is ever written to it.
+    limits: resources of the process.
+    require: refuse to go on unless files, network and other processes are shut off.
+
+    Raises
+    ------
+    InputError: no submission there, or importing it failed (with its traceback).
+    SandboxError: ``require`` and a wall is missing, or the process does not start.
+    """
+
+    def __init__(
+        self, submission: Path, limits: Limits | None = None, *, require: bool = False
+    ) -> None:
+        self.path = submission.expanduser().resolve()
+        self._shown = entry_file(self.path)
+        self.digest = submission_hash(self.path)
+        self._limits = limits or Limits()
+        self._step: int | None = None
+        self._asked_at = 0.0
+        self._inner: int | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._channel: socket.socket | None = None
+        self._box = Box(self.path, self._limits.copy_size)
+        try:
+            self._start()
+            self.description = self._await_ready(require)
+            self._request("load", None, self._limits.make_timeout, "importing the submission")
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def announcement(self) -> str:
+        """What is in force, for the terminal."""
+        walls = ", ".join(self.description["sandbox"]) or "none"
+        missing = self.description["missing"]
+        text = f"Contestant in its own process; sandbox: {walls}"
+        return text if not missing else f"{text}. NOT shut off: {', '.join(missing)}"
+
+    # Contender
+
+    def make(self, obs: list[Any], level: Level, start: NDArray[np.float64]) -> None:
+        # The seed would tell where gates are that nobody has seen yet.
+        public = level.model_copy(update={"seed": 0})
+        payload = (obs, public, start)
+        self._request("make", payload, self._limits.make_timeout, "Controller(...)")
+
+    def ask(self, question: Question) -> None:
+        self._step = question.step
+        self._asked_at = time.perf_counter()
+        self._send("ask", question)
+
+    def wait(self, timeout: float) -> Answer | None:
+        if self._step is None:
+            return None
+        try:
+            message = self._receive(timeout)
+        except _Dead as error:
+            return self._failure(str(error))
+        except wire.ChannelError as error:
+            self.kill()
+            return self._failure(f"its process wrote garbage to the runner: {error}")
+        if message is None:
+            return None
+        seconds = time.perf_counter() - self._asked_at
+        if isinstance(message, wire.Text) and message.kind == wire.FAILED:
+            if message.number == self._step:
+                self._step = None
+                return Answer(message.number, None, message.text, seconds)
+        elif isinstance(message, Answer) and message.step == self._step:
+            self._step = None
+            message.seconds = seconds
+            return message
+        self.kill()
+        return self._failure("its process sent an answer that was not asked for")
+
+    def hook(self, name: str) -> tuple[float, str | None]:
+        started = time.perf_counter()
+        try:
+            self._send("hook", name)
+            message = self._receive(self._limits.hook_timeout)
+        except (_Dead, wire.ChannelError) as error:
+            return time.perf_counter() - started, f"{name}: {error}{self._last_words()}"
+        seconds = time.perf_counter() - started
+        if message is None:
+            self.kill()
+            return seconds, f"{name} did not return within {self._limits.hook_timeout:g} s"
+        if not isinstance(message, wire.Text) or message.kind != wire.HOOKED:
+            self.kill()
+            return seconds, f"{name}: its process sent something else"
+        return seconds, message.text or None
+
+    def close(self) -> None:
+        """Kill the process with all it started and delete its files; idempotent."""
+        self.kill()
+        if self._channel is not None:
+            self._channel.close()
+            self._channel = None
+        self._box.remove()
+
+    # The process
+
+    def kill(self) -> None:
+        """End the process and everything it started, now."""
+        process = self._process
+        if process is None:
+            return
+        for pid in (self._inner, process.pid):
+            if pid is not None and process.poll() is None:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.kill(pid, signal.SIGKILL)
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=10.0)
+
+    @property
+    def pid(self) -> int | None:
+        """Process id, None before it was started."""
+        return None if self._process is None else self._process.pid
+
+    def _start(self) -> None:
+        box, limits = self._box, self._limits
+        bwrap = bubblewrap.program()
+        root = os.getuid() == 0
+        # bubblewrap shows the interpreter to everybody, wherever it is.
+        drop = root and (bwrap is not None or _open_to_others())
+        user = _NOBODY if drop else os.getuid()
+        if drop:
+            box.give_to(_NOBODY, _NOBODY)
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._channel = ours
+        command: list[str] = []
+        if bwrap is not None:
+            command = bubblewrap.prefix(bwrap, readable(), box.root, box.work, root)
+        command += [sys.executable, "-s", "-m", "crazyarena.runner.sandbox.child"]
+        command += [str(theirs.fileno()), str(box.root), str(box.submission)]
+        command += ["0" if bwrap is None else "1", str(user), json.dumps(asdict(limits))]
+        with theirs, open(box.output, "ab") as output:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                cwd=box.work,
+                env=self._environment(),
+                pass_fds=(theirs.fileno(),),
+                start_new_session=True,
+            )
+
+    def _environment(self) -> dict[str, str]:
+        box = self._box
+        kept = {k: os.environ[k] for k in ("PATH", "LANG", "LC_ALL", "TZ") if k in os.environ}
+        return {
+            **kept,
+            "HOME": str(box.home),
+            "TMPDIR": str(box.tmp),
+            "XDG_CACHE_HOME": str(box.home / ".cache"),
+            "NUMBA_CACHE_DIR": str(box.home / ".numba"),
+            "MPLCONFIGDIR": str(box.home / ".matplotlib"),
+            "MPLBACKEND": "Agg",
+            "PYTHONHASHSEED": "0",
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "PYTHONUNBUFFERED": "1",
+            **dict.fromkeys(_THREADS, "1"),
+        }
+
+    def _await_ready(self, require: bool) -> dict[str, Any]:
+        try:
+            message = self._receive(_START_TIMEOUT)
+            if isinstance(message, int):
+                self._inner = message
+                message = self._receive(_START_TIMEOUT)
+            if not isinstance(message, wire.Text) or message.kind != wire.READY:
+                raise wire.ChannelError("it did not report to be ready")
+            report = json.loads(message.text)
+        except (_Dead, wire.ChannelError, ValueError) as error:
+            raise SandboxError(
+                f"{self._shown}: the contestant's process did not start: {error}"
+                f"{self._last_words()}"
+            ) from None
+        if require and not report["complete"]:
+            raise SandboxError(
+                "--require-sandbox: this machine does not shut off "
+                f"{', '.join(report['missing'])}; install bubblewrap, or use a kernel with "
+                "Landlock and seccomp"
+            )
+        notes = list(report["notes"])
+        if os.getuid() == 0 and report["processes_limited"]:
+            notes.append("unprivileged user")
+        if not report["processes_limited"]:
+            notes.append("processes not counted (super-user)")
+        limits = asdict(self._limits)
+        return {
+            "process": "its own",
+            "sandbox": notes,
+            "missing": report["missing"],
+            "limits": limits,
+        }
+
+    def _request(self, verb: str, payload: object, timeout: float, what: str) -> None:
+        """Send, wait for success; raises InputError with the reason otherwise."""
+        try:
+            self._send(verb, payload)
+            message = self._receive(timeout)
+        except (_Dead, wire.ChannelError) as error:
+            self.kill()
+            raise InputError(f"{self._shown}: {what}: {error}{self._last_words()}") from None
+        if isinstance(message, wire.Text) and message.kind == wire.MADE:
+            return
+        self.kill()
+        if message is None:
+            raise InputError(f"{self._shown}: {what} did not return within {timeout:g} s")
+        if isinstance(message, wire.Text) and message.kind == wire.FAILED:
+            text = message.text.replace(str(self._box.submission), str(self.path))
+            raise InputError(text)
+        raise InputError(f"{self._shown}: {what}: its process sent something else")
+
+    def _send(self, verb: str, payload: object) -> None:
+        assert self._channel is not None
+        self._channel.settimeout(5.0)
+        # If the other end is gone the next receive says so, with the reason.
+        with contextlib.suppress(OSError):
+            self._channel.send(pickle.dumps((verb, payload), protocol=5))
+
+    def _receive(self, timeout: float) -> Answer | wire.Text | int | None:
+        assert self._channel is not None
+        self._channel.settimeout(max(0.0, timeout))
+        try:
+            packet = self._channel.recv(wire.MAX_PACKET)
+        except (TimeoutError, BlockingIOError):
+            return None
+        except OSError as error:
+            raise _Dead(self._obituary(str(error))) from None
+        if not packet:
+            raise _Dead(self._obituary("it closed the channel"))
+        return wire.decode(packet)
+
+    def _obituary(self, otherwise: str) -> str:
+        assert self._process is not None
+        try:
+            code = self._process.wait(timeout=0.5)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            return otherwise
+        # bubblewrap tells a signal as 128 and its number, as a shell does.
+        number = -code if code < 0 else code - 128 if code > 128 else 0
+        if number:
+            with contextlib.suppress(ValueError):
+                return f"its process was ended by {signal.Signals(number).name}"
+        return f"its process ended with exit code {code}"
+
+    def _failure(self, text: str) -> Answer:
+        step, self._step = self._step or 0, None
+        seconds = time.perf_counter() - self._asked_at
+        return Answer(step, None, f"step {step}: {text}{self._last_words()}", seconds)
+
+    def _last_words(self) -> str:
+        words = self._box.last_output().strip()
+        return f"\nIts last output:\n{words}" if words else ""
+
+
+class _Dead(Exception):
+    """The contestant's process is no more."""
+
+
+def _open_to_others() -> bool:
+    """Whether an unprivileged user can read the interpreter and this package."""
+    return all(
+        parent.stat().st_mode & stat.S_IXOTH
+        for path in (*interpreter_paths(), *package_paths())
+        if path.exists()
+        for parent in (path, *path.parents)
+    )

@@ -1,0 +1,261 @@
+"""An arena in virtual time: one ``arena`` vehicle, its radio link and the cameras around it.
+
+What stands behind the three interfaces of a trial in a dry run: the clock is an
+:class:`EventClock`, the vehicle link is :class:`SimulatedLink`, the pose source is the
+simulated camera system. Everything that flies a trial lies on this side of those interfaces.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crazyarena.clock import VirtualClock
+from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.crazyswarm_compat.checks import check
+from crazyarena.errors import CommandError, InputError
+from crazyarena.levels.draw import Draw
+from crazyarena.mocap.camera_model import CameraModel
+from crazyarena.mocap.sim_source import SimSource
+from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
+from crazyarena.sim_backend.arena_kernel import DT
+from crazyarena.sim_backend.physics.competition_step import PLANT_SIZE
+from crazyarena.sim_backend.physics.scene import build_scene
+from crazyarena.types import Pose, Telemetry
+
+Array = NDArray[np.float64]
+
+_STREAMED = (
+    c.FullState, c.Position, c.VelocityWorld, c.Hover, c.Attitude, c.CutMotors,
+)  # fmt: skip
+_RETRY = 0.01  # s, until a lost request is sent again
+
+
+class EventClock(VirtualClock):
+    """Virtual time that stops at every event on its way.
+
+    ``sleep_until`` advances to the earliest time that any of the registered ``next_event``
+    functions names, calls everybody who follows the clock, and so on until the deadline.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._next: list[Callable[[], float]] = []
+
+    def stop_at(self, next_event: Callable[[], float]) -> None:
+        """Ask ``next_event()`` (s) where to stop."""
+        self._next.append(next_event)
+
+    def sleep_until(self, deadline: float) -> float:
+        with self._lock:
+            while self._now < deadline:
+                coming = min((event() for event in self._next), default=deadline)
+                self._now = coming if self._now < coming < deadline else deadline
+                for advance in self._advance:
+                    advance(self._now)
+            return 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class LinkModel:
+    """Radio link of a simulated vehicle.
+
+    latency: one way, s; jitter: mean of what comes on top (exponential), s; loss: share of
+    packets lost. Streamed setpoints and poses that are lost stay lost; anything else is
+    repeated until it gets through. Nothing overtakes.
+    """
+
+    latency: float = 0.003
+    jitter: float = 0.0005
+    loss: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("latency", "jitter"):
+            value = getattr(self, name)
+            if not (0.0 <= value <= 1.0):
+                raise InputError(f"link {name}: found {value}; need 0 to 1 s")
+        if not 0.0 <= self.loss < 1.0:
+            raise InputError(f"link loss: found {self.loss}; need a share from 0 to below 1")
+
+
+class SimulatedLink:
+    """:class:`~crazyarena.crazyswarm_compat.backend.Backend` over a fleet in virtual time."""
+
+    def __init__(
+        self, fleet: ArenaFleet, clock: VirtualClock, model: LinkModel, rng: np.random.Generator
+    ) -> None:
+        self._fleet = fleet
+        self._clock = clock
+        self._model = model
+        self._rng = rng
+        self._index = {ident: i for i, ident in enumerate(fleet.ids)}
+        self._queue: list[tuple[float, int, int, c.Command]] = []
+        self._order = itertools.count()
+        self._last = [0.0] * len(fleet)
+        self.refused = 0
+
+    @property
+    def vehicles(self) -> Sequence[int]:
+        return tuple(self._index)
+
+    def send(self, command: c.Command, vehicle: int | None = None) -> None:
+        for index in self._chosen(vehicle):
+            check(command, f"vehicle {self._fleet.ids[index]}")
+            delay = self._delay(isinstance(command, _STREAMED))
+            if delay is None:
+                continue
+            arrival = max(self._clock.now() + delay, self._last[index])
+            self._last[index] = arrival
+            heapq.heappush(self._queue, (arrival, next(self._order), index, command))
+
+    def send_external_poses(self, poses: Mapping[int, Pose]) -> None:
+        for vehicle, pose in poses.items():
+            delay = self._delay(streamed=True)
+            if delay is not None:
+                self._fleet.external_pose(self._chosen(vehicle)[0], pose, delay)
+
+    def telemetry(self, vehicle: int) -> Telemetry:
+        told = self._fleet.telemetry(self._chosen(vehicle)[0])
+        now = self._clock.now()
+        state = None if told.state is None else replace(told.state, timestamp=now)
+        return replace(told, timestamp=now, link_quality=1.0 - self._model.loss, state=state)
+
+    def get_param(self, vehicle: int, name: str) -> float:
+        return self._fleet.get_param(self._chosen(vehicle)[0], name)
+
+    def feed_watchdog(self, vehicle: int) -> None:
+        """Feed the vehicle's emergency-stop watchdog."""
+        self._fleet.emergency_watchdog(self._chosen(vehicle)[0])
+
+    def close(self) -> None:
+        self._queue.clear()
+
+    @property
+    def next_event(self) -> float:
+        """When the next command arrives, s; inf when none is on its way."""
+        return self._queue[0][0] if self._queue else math.inf
+
+    def deliver(self, now: float) -> None:
+        """Hand over what has arrived."""
+        while self._queue and self._queue[0][0] <= now:
+            _, _, index, command = heapq.heappop(self._queue)
+            if self._fleet.send(command, index):
+                self.refused += 1
+
+    def reset(self) -> None:
+        """Forget what is on its way: the vehicle was switched off."""
+        self._queue.clear()
+        self._last = [0.0] * len(self._fleet)
+
+    def _delay(self, streamed: bool) -> float | None:
+        model = self._model
+        delay = model.latency
+        if model.jitter:
+            delay += float(self._rng.exponential(model.jitter))
+        if model.loss:
+            while self._rng.random() < model.loss:
+                if streamed:
+                    return None
+                delay += _RETRY
+        return delay
+
+    def _chosen(self, vehicle: int | None) -> Sequence[int]:
+        if vehicle is None:
+            return range(len(self._fleet))
+        try:
+            return (self._index[vehicle],)
+        except KeyError:
+            known = ", ".join(map(str, self._index))
+            raise CommandError(f"vehicle {vehicle}: unknown; this link has {known}") from None
+
+
+def track_truth(gates: Array, obstacles: Array) -> dict[str, Pose]:
+    """Poses of the bodies ``gate1``, ... (centre of the opening) and ``obstacle1``, ... (foot).
+
+    gates: (n, >= 6), obstacles: (m, 6): x, y, z, roll, pitch, yaw.
+    """
+    bodies = {f"gate{i + 1}": _pose(row) for i, row in enumerate(gates)}
+    return bodies | {f"obstacle{i + 1}": _pose(row) for i, row in enumerate(obstacles)}
+
+
+def _pose(row: Array) -> Pose:
+    sr, sp, sy = (math.sin(0.5 * float(angle)) for angle in row[3:6])
+    cr, cp, cy = (math.cos(0.5 * float(angle)) for angle in row[3:6])
+    quaternion = np.array(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ]
+    )
+    return Pose(np.array(row[:3], dtype=np.float64), quaternion)
+
+
+class SimulatedArena:
+    """The vehicle, its track and the cameras; whoever moves :attr:`clock` lets time pass.
+
+    Parameters
+    ----------
+    rng: everything random in here is drawn from its children, in the order link, cameras,
+        sensors.
+    vehicle: id of the vehicle; its body is called ``cf<id>``.
+    """
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        *,
+        vehicle: int = 1,
+        cameras: CameraModel | None = None,
+        link: LinkModel | None = None,
+        noise: SensorNoise | None = None,
+    ) -> None:
+        for_link, for_cameras, for_sensors = rng.spawn(3)
+        self.clock = EventClock()
+        self.vehicle = vehicle
+        self.body = f"cf{vehicle}"
+        self.fleet = ArenaFleet(
+            np.zeros((1, 3)),
+            ids=(vehicle,),
+            noise=noise or SensorNoise(gyro=0.1, accelerometer=0.003),
+            rng=for_sensors,
+        )
+        self.link = SimulatedLink(self.fleet, self.clock, link or LinkModel(), for_link)
+        self.source = SimSource(self.clock, None, cameras, for_cameras)
+        self._track: dict[str, Pose] = {}
+        self._start = -self.fleet.time
+        self.clock.stop_at(lambda: self.source.next_event)
+        self.clock.stop_at(lambda: self.link.next_event)
+        self.clock.on_advance(self._advance)
+
+    def stage(self, draw: Draw) -> None:
+        """Build the track and put the freshly switched-on vehicle at its start, as people do."""
+        x, _, y, _, _, _, _, _, yaw, _, _, _ = draw.start
+        self.fleet.set_scene(build_scene(draw.gates, draw.obstacles))
+        self.fleet.plants[0, :PLANT_SIZE] = (draw.mass, *draw.inertia)
+        self.fleet.place(0, (x, y, 0.0), float(yaw))
+        self.fleet.reboot(0)
+        self.link.reset()
+        self._track = track_truth(draw.gates, draw.obstacles)
+
+    def _advance(self, now: float) -> None:
+        fleet = self.fleet
+        ticks = round((now - self._start) / DT) - fleet.tick
+        if ticks > 0:
+            fleet.advance(ticks)
+        self.link.deliver(now)
+        while self.source.next_exposure <= now:
+            truth = {self.body: fleet.true_pose(0), **self._track}
+            self.source.expose(self.source.next_exposure, truth)
+
+    def close(self) -> None:
+        self.link.close()
+        self.source.close()
+        self.fleet.close()
