@@ -14,9 +14,9 @@ from competition_utils import Command, timing_ep, timing_step
 from path import Gate, Limits, Path, fly_through, oriented
 
 ARENA = (np.array([-3.0, -3.0, -0.1]), np.array([3.0, 3.0, 2.0]))
-LIFT_OFF = np.array([0.0, 0.0, 4.0])  # m/s2: off the ground at once, whatever the mass
+LIFT_OFF = 4.0  # m/s2: off the ground at once, whatever the mass
 STIFFNESS = 0.3
-INTEGRAL = np.array([1.0, 1.0, 8.0])  # 1/s2, from position error to acceleration
+INTEGRAL = (1.0, 1.0, 8.0)  # 1/s2, from position error to acceleration
 JOIN_TIME = 1.0  # s, to get from the true start onto the path
 REROUTE_LIMIT = 5.0  # m/s2, for the detour to a gate that is not where it was said to be
 
@@ -60,8 +60,8 @@ class Controller:
         self.path = self.plan
         self.revealed = -1
         self.shift = None
-        self.stiffen = np.zeros(3)
-        self.bias = np.zeros(3)
+        self.stiffen = [0.0, 0.0, 0.0]
+        self.bias = [0.0, 0.0, 0.0]
         self.interstep_counter = 0
         self.interepisode_counter = 0
 
@@ -70,28 +70,26 @@ class Controller:
         if time == 0.0:
             self.reset()
         # The first observation of later episodes is the end of the one before.
-        position = np.array(obs[0:5:2]) if time > 0.0 else None
+        position = obs[0:5:2] if time > 0.0 else None
         if info:
-            self._look(time, position, info)
+            self._look(time, info)
 
-        where, velocity, acceleration, jerk = self.path.at(time)
+        # Plain floats from here on: arrays of three cost ten times as much.
+        where, velocity, push, jerk = self.path.at(time).tolist()
         if position is not None:
             if self.shift is None:  # the start is not quite where it was said to be
-                self.shift = position - where
-            where = where + self.shift * _fade(time, JOIN_TIME)
-            self._correct(where - position)
-        push = acceleration + self.bias
+                self.shift = [p - w for p, w in zip(position, where, strict=True)]
+            if time < JOIN_TIME:
+                fade = _fade(time, JOIN_TIME)
+                where = [w + fade * s for w, s in zip(where, self.shift, strict=True)]
+            self._correct([w - p for w, p in zip(where, position, strict=True)])
+        push = [a + b for a, b in zip(push, self.bias, strict=True)]
         if time < 0.15:
-            push = np.maximum(push, LIFT_OFF)
-        return Command.FULLSTATE, [
-            where + self.stiffen,
-            velocity,
-            push,
-            0.0,
-            _body_rates(push, jerk),
-        ]
+            push[2] = max(push[2], LIFT_OFF)
+        target = [w + s for w, s in zip(where, self.stiffen, strict=True)]
+        return Command.FULLSTATE, [target, velocity, push, 0.0, _body_rates(push, jerk)]
 
-    def _look(self, time, position, info):
+    def _look(self, time, info):
         """Re-route through the next gate as soon as its exact pose is shown."""
         gate = info["current_target_gate_id"]
         if gate < 0 or gate == self.revealed or not info["current_target_gate_in_range"]:
@@ -113,8 +111,11 @@ class Controller:
         More stiffness, or damping from these 30 Hz positions, makes a light vehicle oscillate:
         its attitude loop is not fast enough for it.
         """
-        self.stiffen = np.clip(STIFFNESS * error, -0.1, 0.1)
-        self.bias = np.clip(self.bias + INTEGRAL * self.CTRL_TIMESTEP * error, -3.0, 3.0)
+        self.stiffen = [_clip(STIFFNESS * e, 0.1) for e in error]
+        self.bias = [
+            _clip(b + gain * self.CTRL_TIMESTEP * e, 3.0)
+            for b, gain, e in zip(self.bias, INTEGRAL, error, strict=True)
+        ]
 
     def cmdSimOnly(self, time, obs, reward=None, done=None, info=None):
         raise NotImplementedError("this controller flies with firmware commands only")
@@ -136,6 +137,10 @@ class Controller:
         self.interepisode_learning_time = 0
 
 
+def _clip(value, limit):
+    return min(max(value, -limit), limit)
+
+
 def _fade(time, duration):
     """1 at time 0, 0 from ``duration`` on, smooth in between."""
     x = min(time / duration, 1.0)
@@ -147,11 +152,13 @@ def _body_rates(acceleration, jerk):
 
     Mellinger and Kumar, "Minimum snap trajectory generation and control", ICRA 2011.
     """
-    thrust = acceleration + [0.0, 0.0, 9.81]
-    norm = math.sqrt(thrust @ thrust)
-    z = thrust / norm
-    across = math.hypot(z[1], z[2])
-    y = np.array([0.0, z[2], -z[1]]) / across
-    x = np.array([y[1] * z[2] - y[2] * z[1], y[2] * z[0], -y[1] * z[0]])
-    h = (jerk - (jerk @ z) * z) / norm
-    return [-float(h @ y), float(h @ x), 0.0]
+    ax, ay, az = acceleration[0], acceleration[1], acceleration[2] + 9.81
+    norm = math.sqrt(ax * ax + ay * ay + az * az)
+    zx, zy, zz = ax / norm, ay / norm, az / norm
+    across = math.hypot(zy, zz)
+    yy, yz = zz / across, -zy / across  # body y axis; its x component is 0 at yaw 0
+    xx, xy, xz = yy * zz - yz * zy, yz * zx, -yy * zx
+    jx, jy, jz = jerk
+    along = jx * zx + jy * zy + jz * zz
+    hx, hy, hz = ((j - along * z) / norm for j, z in ((jx, zx), (jy, zy), (jz, zz)))
+    return [-(hy * yy + hz * yz), hx * xx + hy * xy + hz * xz, 0.0]

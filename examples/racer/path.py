@@ -8,6 +8,7 @@ L-BFGS-B, minimising flight time plus penalties for acceleration, speed, jerk an
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -157,30 +158,35 @@ class Path:
     def __post_init__(self) -> None:
         coefficients = quintics(self.position, self.velocity, self.acceleration, self.duration)
         object.__setattr__(self, "_coefficients", coefficients)
-        object.__setattr__(self, "_times", self.begin + np.append(0.0, np.cumsum(self.duration)))
+        times = self.begin + np.append(0.0, np.cumsum(self.duration))
+        object.__setattr__(self, "_times", times.tolist())
 
     @property
     def end(self) -> float:
-        return float(self._times[-1])
+        return self._times[-1]
 
     def knot_time(self, knot: int) -> float:
-        return float(self._times[knot])
+        return self._times[knot]
 
-    def at(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Position, velocity, acceleration and jerk, each (3,), at time ``t`` (s)."""
+    def at(self, t: float) -> np.ndarray:
+        """Position, velocity, acceleration and jerk as rows (4, 3) at time ``t`` (s)."""
         if t >= self._times[-1]:
-            zero = np.zeros(3)
-            return self.position[-1], zero, zero, zero
-        piece = max(0, int(np.searchsorted(self._times, t, side="right")) - 1)
-        length = self.duration[piece]
-        x = max(0.0, (t - self._times[piece]) / length)
-        c0, c1, c2, c3, c4, c5 = self._coefficients[piece]
-        return (
-            c0 + x * (c1 + x * (c2 + x * (c3 + x * (c4 + x * c5)))),
-            (c1 + x * (2 * c2 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))) / length,
-            (2 * c2 + x * (6 * c3 + x * (12 * c4 + x * 20 * c5))) / length**2,
-            (6 * c3 + x * (24 * c4 + x * 60 * c5)) / length**3,
+            rest = np.zeros((4, 3))
+            rest[0] = self.position[-1]
+            return rest
+        piece = max(0, bisect_right(self._times, t) - 1)
+        n = 1.0 / (self._times[piece + 1] - self._times[piece])
+        x = max(0.0, (t - self._times[piece]) * n)
+        x2, x3, n2, n3 = x * x, x * x * x, n * n, n * n * n
+        basis = np.array(
+            [
+                [1.0, x, x2, x3, x2 * x2, x2 * x3],
+                [0.0, n, 2 * n * x, 3 * n * x2, 4 * n * x3, 5 * n * x2 * x2],
+                [0.0, 0.0, 2 * n2, 6 * n2 * x, 12 * n2 * x2, 20 * n2 * x3],
+                [0.0, 0.0, 0.0, 6 * n3, 24 * n3 * x, 60 * n3 * x2],
+            ]
         )
+        return basis @ self._coefficients[piece]
 
     def peak_acceleration(self, pieces: slice) -> float:
         """Largest acceleration (m/s2) on some of the pieces, sampled."""
