@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import struct
 
 import pytest
 
 from crazyarena.sim_backend.crtp.log import MAX_BLOCKS
 from crazyarena.sim_backend.crtp.packets import Port
+from crazyarena.sim_backend.crtp.server import VirtualServer
 from tests.sim_backend.crtp.recordings import Bench, conversations, requests, tables
 
 _EEXIST, _ENOMEM = 17, 12
@@ -49,6 +52,34 @@ def test_single_requests(rows: list) -> None:
         answers = bench.ask(request)
         bench.run_to(bench.fleet.tick + 10)
         assert [_canonical(a) for a in answers] == [_canonical(e) for e in expected], label
+
+
+@pytest.mark.parametrize("rows", [pytest.param(r, id=n) for n, r in requests()])
+def test_single_requests_over_udp(rows: list) -> None:
+    """The same on the wire: these answers within 80 ms of each request, and nothing else."""
+    bench = Bench()
+    bench.run_to(2000)
+    with (
+        VirtualServer(bench.swarm, port=0) as server,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client,
+    ):
+        client.connect(("127.0.0.1", server.links[0].port))
+        for label, request_hex, answers_hex in rows:
+            request = bytes.fromhex(request_hex)
+            expected = [_canonical(bytes.fromhex(answer)) for answer in answers_hex]
+            if request[0] >> 4 == Port.LOG:
+                # Its data come when they are due, among the answers.
+                continue
+            client.send(request)
+            heard = []
+            client.settimeout(5.0 if expected else 0.08)
+            with contextlib.suppress(TimeoutError):
+                while len(heard) < max(len(expected), 1):
+                    heard.append(_canonical(client.recv(64)))
+            assert heard == expected, label
+        client.settimeout(0.08)
+        with pytest.raises(TimeoutError):
+            client.recv(64)
 
 
 def _is_log_data(datagram: bytes) -> bool:
