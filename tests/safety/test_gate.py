@@ -1,0 +1,363 @@
+"""What the command gate lets pass, changes and refuses."""
+
+from __future__ import annotations
+
+import math
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from crazyarena.clock import VirtualClock
+from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.errors import CommandError
+from crazyarena.safety.gate import CommandGate, Policy, Refused
+from crazyarena.safety.limits import Limits
+from crazyarena.types import Pose, Telemetry, VehicleState
+from tests.safety.scenes import fence
+
+ZERO = np.zeros(3)
+
+
+class Sink:
+    """A backend that keeps what it is sent."""
+
+    vehicles = (1, 2)
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[c.Command, int | None]] = []
+        self.poses: list[dict[int, Pose]] = []
+        self.state: VehicleState | None = None
+
+    def send(self, command: c.Command, vehicle: int | None = None) -> None:
+        self.sent.append((command, vehicle))
+
+    def send_external_poses(self, poses: Any) -> None:
+        self.poses.append(dict(poses))
+
+    def telemetry(self, vehicle: int) -> Telemetry:
+        return Telemetry(0.0, state=self.state)
+
+    def get_param(self, vehicle: int, name: str) -> float:
+        return 0.0
+
+    def close(self) -> None: ...
+
+
+def state_at(position: Any, time: float = 0.0, velocity: Any = ZERO) -> VehicleState:
+    quaternion = np.array([0.0, 0.0, 0.0, 1.0])
+    return VehicleState(
+        time, np.array(position, float), np.array(velocity, float), quaternion, ZERO
+    )
+
+
+class Rig:
+    def __init__(self, where: Any = (0.0, 0.0, 1.0), **options: Any) -> None:
+        self.clock = VirtualClock()
+        self.sink = Sink()
+        self.log: list[tuple[Any, Any, str, int | None]] = []
+        self.events: list[Any] = []
+        self.where = where
+        self.gate = CommandGate(
+            self.sink,
+            fence(),
+            self.clock,
+            options.pop("limits", None),
+            state=lambda vehicle: None if self.where is None else state_at(self.where),
+            on_command=lambda *args: self.log.append(args),
+            on_event=self.events.append,
+            **options,
+        )
+
+    def send(self, command: c.Command, vehicle: int | None = 1) -> c.Command:
+        self.gate.runner.send(command, vehicle)
+        return self.sink.sent[-1][0]
+
+    def refused(self, command: Any, vehicle: int | None = 1) -> str:
+        before = len(self.sink.sent)
+        with pytest.raises(CommandError) as caught:
+            self.gate.runner.send(command, vehicle)
+        assert len(self.sink.sent) == before
+        assert self.log[-1][1] is None
+        assert self.events[-1].rule == "gate_refused"
+        return str(caught.value)
+
+    def wait(self, seconds: float) -> None:
+        self.clock.sleep_until(self.clock.now() + seconds)
+
+
+def full(position: Any, velocity: Any = ZERO, acceleration: Any = ZERO) -> c.FullState:
+    return c.FullState(position, velocity, acceleration, 0.0, ZERO)
+
+
+def test_what_is_in_order_passes_untouched():
+    rig = Rig()
+    for command in (
+        full((0.1, 0.0, 1.0), (1.0, 0, 0)),
+        c.Position((0.1, 0.0, 1.0)),
+        c.VelocityWorld((0.5, 0.0, 0.0)),
+        c.Hover(0.2, 0.0, 0.1, 1.0),
+        c.Takeoff(1.0, 2.0),
+        c.GoTo((1.0, -1.0, 1.0), 0.0, 3.0),
+        c.Land(0.02, 2.0),
+        c.NotifySetpointsStop(),
+        c.SetLed(1, 0, 0),
+    ):
+        assert rig.send(command) is command
+        rig.wait(1.0)
+    assert rig.events == []
+    assert all(asked is sent for asked, sent, _, _ in rig.log)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        full((math.nan, 0.0, 1.0)),
+        full((0.0, 0.0)),
+        full((0.0, 0.0, 1.0), (math.inf, 0, 0)),
+        c.Position("abc"),
+        c.Takeoff(math.nan, 1.0),
+        c.GoTo((0, 0, 1), 0.0, -1.0),
+        c.VelocityWorld((None, 0, 0)),
+        c.Attitude(0.0, 0.0, 0.0, 70000),
+        "takeoff",
+        None,
+        42,
+    ],
+)
+def test_what_no_vehicle_could_execute_is_refused(command):
+    rig = Rig(limits=Limits(allow_attitude=True))
+    assert "cf1" in rig.refused(command)
+
+
+def test_only_the_runner_may_fly():
+    rig = Rig()
+    with pytest.raises(Refused, match="runner"):
+        rig.gate.send(c.Takeoff(1.0, 2.0), 1)
+    assert rig.sink.sent == []
+    rig.gate.send(c.Emergency(), 1)
+    assert rig.sink.sent == [(c.Emergency(), 1)]
+
+
+def test_after_the_trial_only_what_stops_motors_passes():
+    rig = Rig()
+    rig.send(full((0, 0, 1)))
+    rig.gate.end_trial("completed")
+    assert "completed" in rig.refused(full((0, 0, 1)))
+    rig.refused(c.Land(0.0, 2.0))
+    for stopping in (c.Emergency(), c.CutMotors(), c.Stop()):
+        assert rig.send(stopping) == stopping
+    rig.gate.safety.send(c.Land(0.0, 2.0), 1)
+    assert rig.sink.sent[-1] == (c.Land(0.0, 2.0), 1)
+
+
+def test_a_vehicle_the_watchdog_has_taken_is_closed_and_no_other():
+    rig = Rig()
+    rig.gate.take(1)
+    assert "watchdog" in rig.refused(full((0, 0, 1)))
+    rig.refused(full((0, 0, 1)), None)
+    rig.send(full((0, 0, 1)), 2)
+    rig.gate.safety.send(full((0, 0, 1)), 1)
+
+
+def test_position_outside_is_moved_to_the_soft_limit_and_stops_pushing():
+    rig = Rig(where=(2.8, 0.0, 1.0))
+    sent = rig.send(full((3.2, 0.0, 1.0), (2.0, 0, 0), (1.0, 0, 0)))
+    assert sent.position == pytest.approx((2.95, 0.0, 1.0), abs=0.01)
+    assert sent.velocity == sent.acceleration == (0.0, 0.0, 0.0)
+    assert "outside" in rig.events[-1].detail
+    assert rig.log[-1][0].position == (3.2, 0.0, 1.0)
+
+
+def test_refusing_policy_refuses_instead():
+    rig = Rig(policy=Policy.REFUSE)
+    assert "outside" in rig.refused(full((3.2, 0.0, 1.0)))
+    rig.send(full((0.1, 0.0, 1.0)))
+
+
+def test_between_soft_and_hard_limit_nothing_is_moved():
+    rig = Rig(where=(2.97, 0.0, 1.0))
+    command = full((2.98, 0.0, 1.0))
+    assert rig.send(command) is command
+
+
+def test_speed_and_acceleration_are_scaled():
+    rig = Rig()
+    sent = rig.send(full((0, 0, 1), (6.0, 0.0, 0.0), (0.0, 30.0, 0.0)))
+    assert sent.velocity == pytest.approx((3.0, 0, 0))
+    assert sent.acceleration == pytest.approx((0, 12.0, 0))
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.tuples(*[st.floats(-20, 20)] * 6, st.floats(0.0, 0.3)), min_size=1, max_size=12))
+def test_streamed_setpoints_stay_inside_near_and_slow(steps):
+    rig = Rig()
+    n = rig.gate.limits
+    last: tuple[Any, float] | None = None
+    for x, y, z, vx, vy, vz, gap in steps:
+        rig.wait(gap)
+        try:
+            sent = rig.send(full((x, y, z), (vx, vy, vz)))
+        except Refused:
+            continue
+        place = tuple(float(v) for v in sent.position)
+        assert math.dist(place, rig.where) <= n.setpoint_lead + 1e-6
+        assert fence().clearance(*place) >= -1e-9
+        assert math.hypot(*sent.velocity) <= n.setpoint_speed + 1e-9
+        now = rig.clock.now()
+        if last is not None and now - last[1] <= 0.5:
+            reach = n.setpoint_step + n.setpoint_speed * (now - last[1])
+            # Pulled towards the vehicle it may only come closer to it.
+            assert math.dist(place, last[0]) <= reach + n.setpoint_lead
+        last = place, now
+
+
+def test_rate_of_change_is_bounded():
+    rig = Rig(where=None)
+    rig.send(full((0, 0, 1)))
+    rig.wait(1 / 30)
+    sent = rig.send(full((2, 0, 1)))
+    assert sent.position[0] == pytest.approx(0.1 + 3.0 / 30)
+
+
+def test_velocity_towards_a_wall_is_slowed():
+    rig = Rig(where=(2.5, 0.0, 1.0))
+    sent = rig.send(c.VelocityWorld((2.0, 0.0, 0.0)))
+    assert 0.9 <= sent.velocity[0] <= 1.0
+    away = c.VelocityWorld((-2.0, 0.0, 0.0))
+    assert rig.send(away) is away
+
+
+def test_hover_is_slowed_and_its_height_clamped():
+    rig = Rig(where=(2.5, 0.0, 1.0))
+    sent = rig.send(c.Hover(2.0, 0.0, 0.0, 5.0))
+    assert sent.vx < 1.01
+    assert sent.height == pytest.approx(1.95, abs=0.01)
+
+
+def test_link_loss_time_slows_setpoints_near_the_fence():
+    rig = Rig(where=(2.0, 0.0, 1.0), limits=Limits(link_loss_time=1.0))
+    sent = rig.send(full((2.0, 0.0, 1.0), (2.0, 0.0, 0.0)))
+    assert sent.velocity[0] == pytest.approx(1.0, abs=0.01)
+    assert Rig(where=(2, 0, 1)).send(full((2, 0, 1), (2, 0, 0))).velocity == (2, 0, 0)
+
+
+def test_attitude_is_refused_unless_allowed_and_then_bounded():
+    assert "allow_attitude" in Rig().refused(c.Attitude(0.1, 0.0, 0.0, 40000))
+    rig = Rig(limits=Limits(allow_attitude=True))
+    assert rig.send(c.Attitude(1.2, -1.2, 0.0, 40000)) == c.Attitude(0.6, -0.6, 0.0, 40000)
+
+
+def test_plans_of_the_vehicle_get_the_time_they_need_and_end_inside():
+    rig = Rig(where=(0.0, 0.0, 0.03))
+    assert rig.send(c.Takeoff(9.0, 5.0)).height == pytest.approx(1.95, abs=0.01)
+    assert rig.send(c.Takeoff(1.0, 0.1)).duration > 0.7
+    sent = rig.send(c.GoTo((9.0, 0.0, 1.0), 0.0, 0.1))
+    assert sent.position[0] == pytest.approx(2.95, abs=0.01)
+    assert 35 / 16 * 2.95 / sent.duration <= 3.0 + 0.1
+    rig.where = (2.5, 0.0, 1.0)
+    assert rig.send(c.GoTo((1.0, 0.0, 0.0), 0.0, 3.0, relative=True)).position[0] < 0.5
+    rig.where = None
+    assert "relative" in rig.refused(c.GoTo((1.0, 0.0, 0.0), 0.0, 3.0, relative=True))
+
+
+def piece(duration: float, distance: float) -> np.ndarray:
+    """From rest to rest along x, by a polynomial of 7th order."""
+    row = np.zeros((1, 33))
+    row[0, 0] = duration
+    row[0, 1 + 4 : 1 + 8] = distance * np.array([35, -84, 70, -20]) / duration ** np.arange(4, 8)
+    return row
+
+
+def test_trajectories_are_checked_at_their_start():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    rig.send(c.UploadTrajectory(1, 0, piece(4.0, 2.0)))
+    rig.send(c.StartTrajectory(1))
+    assert "speed" in rig.refused(c.StartTrajectory(1, timescale=0.2))
+    rig.where = (2.0, 0.0, 1.0)
+    assert "out of the fence" in rig.refused(c.StartTrajectory(1))
+    assert "not uploaded" in rig.refused(c.StartTrajectory(2))
+
+
+def test_parameters_that_blind_or_stop_are_closed_in_flight():
+    rig = Rig()
+    rig.send(c.SetParam("stabilizer.controller", 2))
+    rig.refused(c.SetParam("motorPowerSet.enable", 1))
+    rig.send(full((0, 0, 1)))
+    for name in ("stabilizer.controller", "kalman.resetEstimation", "supervisor.landedTimeout"):
+        assert "flight" in rig.refused(c.SetParam(name, 1))
+    rig.send(c.SetParam("ring.effect", 7))
+
+
+def test_budget_is_enforced_and_never_on_a_stop():
+    rig = Rig()
+    n = rig.gate.limits
+    passed = 0
+    for _ in range(500):
+        try:
+            rig.send(full((0, 0, 1)))
+            passed += 1
+        except Refused:
+            break
+    assert passed == n.command_burst
+    for _ in range(100):
+        rig.send(c.Emergency())
+        rig.send(c.CutMotors(), None)
+    assert len(rig.sink.sent) == passed + 200
+    rig.wait(0.5)
+    rig.send(full((0, 0, 1)))
+
+
+def test_an_emergency_stop_does_not_wait_for_the_gate_to_be_free():
+    rig = Rig()
+    with rig.gate._lock:
+        thread = threading.Thread(target=lambda: rig.gate.runner.send(c.Emergency(), None))
+        thread.start()
+        thread.join(timeout=5.0)
+        assert not thread.is_alive()
+    assert rig.sink.sent == [(c.Emergency(), None)]
+
+
+def test_unknown_vehicle_is_refused():
+    assert "no such vehicle" in Rig().refused(full((0, 0, 1)), 9)
+
+
+def test_broadcast_stays_one_if_nothing_had_to_change():
+    rig = Rig()
+    rig.gate.runner.send(c.Takeoff(1.0, 2.0), None)
+    assert rig.sink.sent == [(c.Takeoff(1.0, 2.0), None)]
+    rig.gate.runner.send(c.Takeoff(9.0, 9.0), None)
+    assert [vehicle for _, vehicle in rig.sink.sent[1:]] == [1, 2]
+
+
+def test_poses_nobody_should_believe_are_not_forwarded():
+    rig = Rig()
+    good = Pose(np.array([0.0, 0.0, 1.0]))
+    rig.gate.send_external_poses({1: good})
+    rig.gate.send_external_poses({1: Pose(good.position.copy())})  # the same to the bit
+    rig.gate.send_external_poses({1: Pose(np.array([math.nan, 0.0, 1.0]))})
+    rig.gate.send_external_poses({9: good})
+    assert len(rig.sink.poses) == 1
+    assert rig.gate.poses_dropped == 3
+    # On the ground the vehicle may be carried anywhere; in flight it cannot jump.
+    rig.sink.state = state_at((0.0, 0.0, 1.0))
+    rig.gate.send_external_poses({1: Pose(np.array([2.0, 0.0, 1.0]))})
+    assert len(rig.sink.poses) == 2
+    rig.send(full((0, 0, 1)))
+    rig.gate.send_external_poses({1: Pose(np.array([2.0, 0.1, 1.0]))})
+    assert len(rig.sink.poses) == 2
+    rig.gate.send_external_poses({1: Pose(np.array([0.05, 0.0, 1.0]))})
+    assert len(rig.sink.poses) == 3
+
+
+def test_flight_ends_when_the_vehicle_stands_after_a_landing():
+    rig = Rig()
+    rig.send(full((0, 0, 1)))
+    rig.gate.stands(1)
+    assert rig.gate.flying_since(1) is not None  # not told to land: it may be about to rise
+    rig.send(c.Land(0.0, 2.0))
+    rig.gate.stands(1)
+    assert rig.gate.flying_since(1) is None
