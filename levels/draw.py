@@ -54,6 +54,11 @@ class Draw:
     obstacles: Array
     _noise: _NoiseStream = field(repr=False)
 
+    @property
+    def disturbed(self) -> bool:
+        """False when :meth:`tick_noise` is all zeros."""
+        return self._noise.active
+
     def tick_noise(self, n_ticks: int) -> Array:
         """Disturbances of the next ticks, (n, 7): rotor forces 4 (N), then world force 3 (N).
 
@@ -170,11 +175,15 @@ class _NoiseStream:
         self._before: Mapping[str, Any] = {}  # generator state at the start of the block
         self._closed = False
 
+    @property
+    def active(self) -> bool:
+        return self._action or self._force
+
     def take(self, n_ticks: int) -> Array:
         if self._closed:
             raise RuntimeError("this draw's episode is over; use the one of the latest reset()")
         out = np.zeros((n_ticks, 7))
-        if not (self._action or self._force):
+        if not self.active:
             return out
         if isinstance(self._rng, np.random.RandomState):
             self._fill_legacy(self._rng, out)

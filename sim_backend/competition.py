@@ -95,7 +95,8 @@ class CompetitionWorld:
         if self._draw is None:
             return
         # Periods are counted, not timed: their tick counts come from the original's rounding.
-        due = round((now - self._epoch) * self.control_rate)
+        # One that has not ended yet is not flown: commands may still come.
+        due = int((now - self._epoch) * self.control_rate + 1e-6)
         while self._period < due:
             self._fly_period()
 
@@ -249,7 +250,10 @@ class CompetitionBatch:
         self._work = np.stack([geometry.make_workspace() for _ in draws])
         self._gains = parameters.default_row(mellinger.PARAMS, 2022)
         self._memory = np.zeros(_MEMORY_BYTES, np.uint8)
-        self._draws = draws
+        self._draws = [draw for draw in draws if draw.disturbed]
+        if 0 < len(self._draws) < worlds:
+            raise ValueError("either all draws have disturbances or none")
+        self._noise = np.zeros((1 if not self._draws else worlds, 0, 7))
         self._period = 0
         for body, firmware, draw in zip(self._bodies, self._firmware, draws, strict=True):
             x, vx, y, vy, z, vz, roll, pitch, yaw, p, q, r = draw.start
@@ -274,7 +278,7 @@ class CompetitionBatch:
         while wrapper_sensors.step_due(last, self._period, self.control_rate):
             last += 1
         n_ticks = last - first
-        noise = np.stack([draw.tick_noise(n_ticks) for draw in self._draws])
+        noise = self._next_noise(n_ticks)
         rows = np.empty((1, 0, TRACE_SIZE)) if trace is None else trace
         core.advance_worlds(
             self._bodies, self._plants, self._firmware, self._gains, self._memory,
@@ -282,3 +286,15 @@ class CompetitionBatch:
         )  # fmt: skip
         self._period += 1
         return n_ticks
+
+    def _next_noise(self, n_ticks: int) -> Array:
+        """Disturbances of the coming ticks; drawn ahead, because a call costs as much as many."""
+        if self._noise.shape[1] < n_ticks:
+            ahead = 6 * n_ticks
+            if self._draws:
+                fresh = np.stack([draw.tick_noise(ahead) for draw in self._draws])
+            else:
+                fresh = np.zeros((1, ahead, 7))
+            self._noise = np.concatenate([self._noise, fresh], axis=1)
+        taken, self._noise = self._noise[:, :n_ticks], self._noise[:, n_ticks:]
+        return np.ascontiguousarray(taken)
