@@ -31,7 +31,7 @@ from crazyarena.mocap.source import SourceState, SourceStatus
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.gate import CommandGate
-from crazyarena.safety.limits import Limits
+from crazyarena.safety.limits import PID_BRAKING, Limits
 from crazyarena.safety.monitors import CRASHED, LOCKED
 from crazyarena.safety.watchdog import Watchdog
 from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
@@ -295,7 +295,7 @@ class Flight:
             self.link,
             self.fence,
             self.clock,
-            limits or FAULTS[fault].limits,
+            self._limits(limits or FAULTS[fault].limits),
             state=self._believed,
         )
         forwarder = PoseForwarder({BODY: VEHICLE}, self.gate.send_external_poses, self.clock)
@@ -327,6 +327,9 @@ class Flight:
         self.gust = np.zeros(3)
         self.each: Callable[[float], None] | None = None
         self.excursion = -math.inf
+
+    def _limits(self, limits: Limits) -> Limits:
+        return limits if self.mellinger else replace(limits, braking=PID_BRAKING)
 
     # What faults use
 

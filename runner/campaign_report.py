@@ -17,7 +17,7 @@ def table(outcomes: Sequence[Outcome]) -> Table:
     """One row per fault."""
     view = Table(title=None)
     for name in ("fault", "flights", "safe", "landed", "cut", "taken over"):
-        view.add_column(name, justify="left" if name == "fault" else "right")
+        view.add_column(name, justify="left" if name == "fault" else "right", no_wrap=True)
     view.add_column("worst outside fence, m", justify="right")
     view.add_column("time to safe, median / worst, s", justify="right")
     for row in summarise(outcomes):

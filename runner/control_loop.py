@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -34,6 +34,9 @@ from crazyarena.runner.result import (
 )
 from crazyarena.runner.scheduler import Scheduler
 from crazyarena.runner.world import World
+
+if TYPE_CHECKING:
+    from crazyarena.runner.flight import Watch
 
 
 class LatePolicy(StrEnum):
@@ -68,7 +71,7 @@ class ControlLoop:
     rate: control ticks per second.
     keep_alive: a setpoint is repeated at every tick at which the contestant asks for nothing
         new: vehicles do not fly on with a stream that fell silent, and the contract has them.
-    stop: asked at every tick; a text ends the run with that reason (the watchdog's word).
+    watch: asked at every tick; its verdict ends the run.
     on_verdict: called with every verdict and the time (s) at which it is told.
     on_step: called with the time (s) after every tick.
     """
@@ -85,7 +88,7 @@ class ControlLoop:
         *,
         keep_alive: bool,
         recorder: Recorder | None = None,
-        stop: Callable[[], str | None] = lambda: None,
+        watch: Watch | None = None,
         on_verdict: Callable[[Verdict, float], None] = lambda verdict, time: None,
         on_step: Callable[[float], None] | None = None,
     ) -> None:
@@ -98,7 +101,7 @@ class ControlLoop:
         self._interrupt = interrupt
         self._keep_alive = keep_alive
         self._recorder = recorder
-        self._stop = stop
+        self._watch = watch
         self._on_verdict = on_verdict
         self._on_step = on_step
         patience = deadlines.max_misses / rate
@@ -144,9 +147,7 @@ class ControlLoop:
             time = step * period
             if self._interrupt.asked:
                 return INTERRUPTED
-            stopped = self._stop()
-            if stopped is not None:
-                self._error = stopped
+            if self._is_stopped():
                 return SAFETY
             if pending is not None:
                 answer = waiter.wait(world.clock.now())
@@ -168,7 +169,9 @@ class ControlLoop:
                     end = self._take(answer, step, time)
                     if end is not None:
                         return end
-            scheduler.wait()
+            late = scheduler.wait()
+            if self._watch is not None:
+                self._watch.late(late)
             if pending is not None:
                 self._missed += 1
                 self._consecutive += 1
@@ -179,7 +182,10 @@ class ControlLoop:
                         f"({self._consecutive * period:.2f} s), asked at step {pending}"
                     )
                     return CONTROLLER_TIMEOUT
-                self._fill_in(period)
+                try:
+                    self._fill_in(period)
+                except CommandError as error:
+                    return self._refused(error, step)
             rows = world.poll()
             if len(rows) == 0 and verdict is None:
                 continue
@@ -218,6 +224,8 @@ class ControlLoop:
         self._learn_seconds.append(answer.learn_seconds)
         self._overruns += answer.seconds * self._rate > 1.0
         self._consecutive = 0
+        if self._watch is not None:
+            self._watch.answered()
         if answer.error is not None or answer.asked is None:
             return self._failed(answer.error or "no command", step)
         asked = answer.asked
@@ -231,7 +239,7 @@ class ControlLoop:
             try:
                 self._world.send(sent)
             except CommandError as error:
-                return self._failed(f"step {step}: {error}", step)
+                return self._refused(error, step)
         if asked.command is not None:
             # High-level commands are carried out by the vehicle itself, once.
             streamed = isinstance(asked.command, cs.FullState)
@@ -239,6 +247,16 @@ class ControlLoop:
             self._sent_at = time
         self._record(time, asked, sent)
         return None
+
+    def _is_stopped(self) -> bool:
+        stopped = None if self._watch is None else self._watch.verdict()
+        if stopped is not None:
+            self._error = stopped
+        return stopped is not None
+
+    def _refused(self, error: CommandError, step: int) -> str:
+        """A command was refused: the watchdog may have been faster, else it was a bad one."""
+        return SAFETY if self._is_stopped() else self._failed(f"step {step}: {error}", step)
 
     def _fill_in(self, period: float) -> None:
         """What a vehicle on a stream hears at a tick without a command."""

@@ -247,8 +247,6 @@ class Crew:
     def _survey(self) -> MeasuredTrack:
         level = self._level
         nominal_gates = np.array([[*gate.row] for gate in level.track.gates]).reshape(-1, 7)
-        for row, gate in zip(nominal_gates, level.track.gates, strict=True):
-            row[:3] = gate.centre
         nominal_obstacles = np.array([o.row for o in level.track.obstacles]).reshape(-1, 6)
         nominal = track_truth(nominal_gates, nominal_obstacles)
         poses = self._surveyed
@@ -261,8 +259,8 @@ class Crew:
         gates, obstacles = nominal_gates.copy(), nominal_obstacles.copy()
         for i, row in enumerate(gates):
             _put(row, poses[f"gate{i + 1}"])  # type: ignore[index]
-            # Posts have one length: the height is that of the kind of gate.
-            row[2] = nominal_gates[i, 2]
+            # Bodies are at the foot; posts have one length, so the kind tells the height.
+            row[2] = level.track.gates[i].centre[2]
         for i, row in enumerate(obstacles):
             _put(row, poses[f"obstacle{i + 1}"])  # type: ignore[index]
             row[2] = nominal_obstacles[i, 2]
@@ -345,6 +343,17 @@ class Crew:
             self._disarm()
         if problem is not None:
             raise problem
+
+    def stand_down(self) -> None:
+        """For a vehicle that the watchdog has taken and brought down: only make sure of it."""
+        with self._phase(Phase.DISARM, land_on_failure=False):
+            self._send_quietly(cs.CutMotors())
+            self._until(
+                lambda: self._height() <= _DOWN or not self._flyable(),
+                self._timeouts.disarm,
+                Phase.DISARM,
+                lambda: f"the vehicle is still {self._height():.2f} m high",
+            )
 
     def abort(self) -> None:
         """Down, by the shortest way: land where it is; cut the motors if that does not work."""

@@ -193,8 +193,15 @@ class DryRun:
             crew = self._crew(world)
         elif isinstance(contender, InProcess) and deadlines.compute.mode == FREE:
             return Trial(self._level, contender.submission, world, **common).run()
+        watch = world.rig.safeguard if isinstance(world, TrackedWorld) else None
         return FlightTrial(
-            self._level, contender, world, crew=crew, deadlines=deadlines, **common
+            self._level,
+            contender,
+            world,
+            crew=crew,
+            watch=watch,
+            deadlines=deadlines,
+            **common,
         ).run()
 
     def _crew(self, world: TrackedWorld) -> Crew:

@@ -43,7 +43,9 @@ def _track(axis: Any, level: Level, gates: NDArray[Any], obstacles: NDArray[Any]
         foot = Rectangle(row[:2] - half, BASE_WIDTH, BASE_WIDTH, fill=False, ec=_OBSTACLE)
         axis.add_patch(foot)
     goal = level.goal
-    axis.add_patch(Circle(goal.position[:2], goal.tolerance, color="tab:green", alpha=0.4))
+    axis.add_patch(
+        Circle((goal.position[0], goal.position[1]), goal.tolerance, color="tab:green", alpha=0.4)
+    )
 
 
 def save_figure(
@@ -63,9 +65,11 @@ def save_figure(
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    figure = Figure(figsize=(12, 6.5), dpi=100, layout="constrained")
-    figure.get_layout_engine().set(h_pad=0.08, w_pad=0.08)
+    figure = Figure(
+        figsize=(12, 6.5), dpi=100, layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08)
+    )
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(3, 2, width_ratios=[1.1, 1])
     top = figure.add_subplot(grid[:, 0])

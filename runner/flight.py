@@ -51,12 +51,24 @@ class Watch(Protocol):
         """The run begins now."""
         ...
 
+    def answered(self) -> None:
+        """The contestant has answered."""
+        ...
+
+    def late(self, seconds: float) -> None:
+        """How late a tick began."""
+        ...
+
     def verdict(self) -> str | None:
         """Why the run must end, or None; asked at every tick."""
         ...
 
-    def end(self) -> None:
-        """The run is over; wait until the vehicle is under the crew's control, or down."""
+    def hand_over(self, rule: str) -> None:
+        """Take the vehicle, for the reason ``rule``."""
+        ...
+
+    def end(self) -> bool:
+        """The run is over. True if the vehicle was taken; it is down then, or as good as."""
         ...
 
     def events(self) -> list[Event]:
@@ -226,7 +238,7 @@ class FlightTrial:
             interrupt,
             keep_alive=crew is not None,
             recorder=recorder,
-            stop=(lambda: None) if watch is None else watch.verdict,
+            watch=watch,
             on_verdict=self._injection.judged,
             on_step=None if on_step is None else lambda time: on_step(index, time),
         )
@@ -241,15 +253,21 @@ class FlightTrial:
         if crew is not None:
             crew.durations[Phase.RUN.value] = self._world.clock.now() - began
             crew.announce(Phase.COMPLETE if result.completed else Phase.FAIL, result.termination)
+        taken = False
         if watch is not None:
-            watch.end()
+            if result.termination == CONTROLLER_TIMEOUT:
+                watch.hand_over("controller_timeout")
+            taken = watch.end()
             for event in watch.events():
                 result.events = [*result.events, event]
                 if recorder is not None:
                     recorder.event(event.time, event.tick, event.name, event.detail)
         if crew is not None:
             try:
-                crew.bring_home()
+                if taken:
+                    crew.stand_down()
+                else:
+                    crew.bring_home()
             except CrazyarenaError as error:
                 crew.abort()
                 result.error = "\n".join(filter(None, (result.error, str(error))))

@@ -21,10 +21,13 @@ from crazyarena.mocap.estimator import PoseEstimator
 from crazyarena.mocap.forwarder import PoseForwarder
 from crazyarena.mocap.pipeline import OnEvent, OnFrame, PosePipeline
 from crazyarena.mocap.source import PoseSource
+from crazyarena.runner.safeguard import Safeguard
+from crazyarena.safety.limits import Limits
 
 # Children of the trial's seed, so that the level's own draws stay what the seed says.
 _RIG_STREAM = 0x51
 EXTERNAL_POSE_RATE = 100.0  # Hz
+_WATCH_PERIOD = 0.005  # s, between looks at the vehicle when there are no frames
 
 
 class FrameListeners:
@@ -49,7 +52,9 @@ class Rig:
 
     Attributes
     ----------
+    backend: behind the command gate where there is one.
     vehicle: id on the link; body: its name in the camera system.
+    safeguard: None when nobody guards.
     pipeline: fed by whoever lets time pass: a thread, or the virtual clock.
     stage: called with the draw of an episode before it; what people do by hand in an arena.
     description: for the report.
@@ -62,6 +67,7 @@ class Rig:
     vehicle: int
     body: str
     stage: Callable[[Draw], None]
+    safeguard: Safeguard | None = None
     description: dict[str, object] = field(default_factory=dict)
     closers: list[Callable[[], None]] = field(default_factory=list)
 
@@ -98,15 +104,46 @@ def make_pipeline(
     return pipeline, listeners
 
 
-def simulated(level: Level, seed: int, cameras: CameraModel | None = None) -> Rig:
+def simulated(
+    level: Level,
+    seed: int,
+    cameras: CameraModel | None = None,
+    limits: Limits | None = None,
+    guarded: bool = True,
+) -> Rig:
     """The rig of a dry run: everything in this process, in virtual time."""
     from crazyarena.sim_backend.arena_world import SimulatedArena
 
     arena = SimulatedArena(np.random.default_rng([seed, _RIG_STREAM]), cameras=cameras)
+    safeguard = None
+    backend: Backend = arena.link
+    if guarded:
+        safeguard = Safeguard(
+            level,
+            arena.link,
+            arena.clock,
+            arena.vehicle,
+            arena.body,
+            limits=limits,
+            feed=arena.link.feed_watchdog,
+        )
+        backend = safeguard.gate.runner
     pipeline, listeners = make_pipeline(
-        arena.source, arena.clock, arena.link, {arena.body: arena.vehicle}, threaded=False
+        arena.source, arena.clock, backend, {arena.body: arena.vehicle}, threaded=False
     )
-    arena.clock.on_advance(lambda now: _poll(pipeline))
+    if safeguard is not None:
+        safeguard.watch(pipeline)
+        listeners.frames.append(safeguard.on_frame)
+
+    def advance(now: float) -> None:
+        frames = pipeline.poll()
+        nonlocal stepped
+        if safeguard is not None and (frames or now - stepped >= _WATCH_PERIOD):
+            stepped = now
+            safeguard.watchdog.step()
+
+    stepped = 0.0
+    arena.clock.on_advance(advance)
 
     def stage(draw: Draw) -> None:
         arena.stage(draw)
@@ -116,12 +153,13 @@ def simulated(level: Level, seed: int, cameras: CameraModel | None = None) -> Ri
     model = arena.source.model
     return Rig(
         arena.clock,
-        arena.link,
+        backend,
         pipeline,
         listeners,
         arena.vehicle,
         arena.body,
         stage,
+        safeguard,
         {
             "backend": "sim",
             "mocap": "sim",
@@ -129,9 +167,5 @@ def simulated(level: Level, seed: int, cameras: CameraModel | None = None) -> Ri
             "mocap_latency": model.latency,
             "mocap_position_noise": model.position_noise,
         },
-        [arena.close, pipeline.close],
+        [arena.close, pipeline.close, *([] if safeguard is None else [safeguard.close])],
     )
-
-
-def _poll(pipeline: PosePipeline) -> None:
-    pipeline.poll()

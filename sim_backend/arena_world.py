@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 _STREAMED = (
     c.FullState, c.Position, c.VelocityWorld, c.Hover, c.Attitude, c.CutMotors,
 )  # fmt: skip
+# Of a BMI088 at rest, as the estimator sees it.
+SENSOR_NOISE = SensorNoise(gyro=0.1, accelerometer=0.003)
 _RETRY = 0.01  # s, until a lost request is sent again
 
 
@@ -176,12 +178,19 @@ class SimulatedLink:
 
 
 def track_truth(gates: Array, obstacles: Array) -> dict[str, Pose]:
-    """Poses of the bodies ``gate1``, ... (centre of the opening) and ``obstacle1``, ... (foot).
+    """Poses of the bodies ``gate1``, ... and ``obstacle1``, ...; the origin is at the foot.
 
-    gates: (n, >= 6), obstacles: (m, 6): x, y, z, roll, pitch, yaw.
+    gates: (n, >= 6), obstacles: (m, 6): x, y, z, roll, pitch, yaw of the foot.
     """
     bodies = {f"gate{i + 1}": _pose(row) for i, row in enumerate(gates)}
     return bodies | {f"obstacle{i + 1}": _pose(row) for i, row in enumerate(obstacles)}
+
+
+def feet(draw: Draw) -> Array:
+    """Gates (n, 7) of a draw with the z of the foot instead of the opening's centre."""
+    rows = draw.gates.copy()
+    rows[:, 2] = draw.nominal_gates[:, 2]
+    return rows
 
 
 def _pose(row: Array) -> Pose:
@@ -224,7 +233,7 @@ class SimulatedArena:
         self.fleet = ArenaFleet(
             np.zeros((1, 3)),
             ids=(vehicle,),
-            noise=noise or SensorNoise(gyro=0.1, accelerometer=0.003),
+            noise=noise or SENSOR_NOISE,
             rng=for_sensors,
         )
         self.link = SimulatedLink(self.fleet, self.clock, link or LinkModel(), for_link)
@@ -243,7 +252,7 @@ class SimulatedArena:
         self.fleet.place(0, (x, y, 0.0), float(yaw))
         self.fleet.reboot(0)
         self.link.reset()
-        self._track = track_truth(draw.gates, draw.obstacles)
+        self._track = track_truth(feet(draw), draw.obstacles)
 
     def _advance(self, now: float) -> None:
         fleet = self.fleet

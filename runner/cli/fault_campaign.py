@@ -45,6 +45,8 @@ def fault_campaign(
         from crazyarena.runner.campaign import FAULTS, failures, run_campaign
 
         console = Console()
+        if not console.is_terminal:
+            console = Console(width=120)
         names = fault or list(FAULTS)
         try:
             out.mkdir(parents=True, exist_ok=True)
