@@ -8,6 +8,8 @@ from dataclasses import dataclass, fields
 
 from crazyarena.errors import InputError
 
+PID_BRAKING = 3.5
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -15,7 +17,9 @@ class Limits:
 
     Attributes
     ----------
-    braking: deceleration, m/s2, that the vehicle is trusted with.
+    braking: deceleration, m/s2, that the vehicle is trusted with: 6 with the Mellinger
+        controller, ``PID_BRAKING`` with the cascaded PID controller, which limits its speed
+        rather than following a plan.
     reaction: time, s, until a command to brake has become deceleration: cameras, radio, and
         the attitude the vehicle has to take first.
     outer_margin: m beyond the hard fence at which motors are cut (the second fence).
