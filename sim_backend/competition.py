@@ -9,7 +9,7 @@ worlds for Monte-Carlo runs.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,7 @@ class CompetitionWorld:
         self.clock = VirtualClock()
         self.control_rate = control_rate
         self._id = vehicle
-        self._unregister = self.clock.on_advance(self._advance)
+        self._unregister: Callable[[], None] | None = self.clock.on_advance(self._advance)
         self._bodies, self._firmware = core.new_rows(1)
         self._gains = parameters.default_row(mellinger.PARAMS, 2022)
         self._memory = np.zeros(_MEMORY_BYTES, np.uint8)

@@ -12,10 +12,9 @@ core prism of :data:`FACETS` sides) carry it on the outside.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from crazyarena.errors import InputError
 from crazyarena.sim_backend.jit import kernel
@@ -159,7 +158,7 @@ def fill_scene(gates, obstacles, scene):
         _put_primitive(scene[i + 2], scene[i], BOX, x, y, z, 0.0, 0.0, drop, w, w, h)
 
 
-def _table(name: str, rows: Sequence[Sequence[float]], columns: str) -> NDArray[np.float64]:
+def _table(name: str, rows: ArrayLike, columns: str) -> NDArray[np.float64]:
     width = len(columns.split(", "))
     try:
         table = np.array(rows, dtype=np.float64)
@@ -173,9 +172,7 @@ def _table(name: str, rows: Sequence[Sequence[float]], columns: str) -> NDArray[
     return table
 
 
-def build_scene(
-    gates: Sequence[Sequence[float]], obstacles: Sequence[Sequence[float]]
-) -> NDArray[np.float64]:
+def build_scene(gates: ArrayLike, obstacles: ArrayLike) -> NDArray[np.float64]:
     """Rows of all gates and obstacles at their true poses.
 
     Parameters
