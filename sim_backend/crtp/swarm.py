@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 from crazyarena.sim_backend.arena import ArenaFleet
@@ -10,7 +11,8 @@ from crazyarena.types import Pose
 
 Send = Callable[[int, bytes], None]
 
-_BATCH_MS = 2  # of simulated time per compiled call; log data are at most so late
+# Of simulated time per compiled call, at least; log data and poses are at most so late, less one.
+_BATCH_MS = 2
 
 
 class VirtualSwarm:
@@ -48,10 +50,18 @@ class VirtualSwarm:
             if self._feed_period is not None and self.fleet.tick >= self._next_feed:
                 self._next_feed += self._feed_period
                 self._feed()
-            self.fleet.advance(min(_BATCH_MS, end - self.fleet.tick))
+            ahead = max(_BATCH_MS, self._due() - self.fleet.tick)
+            self.fleet.advance(min(ahead, end - self.fleet.tick))
             for index, vehicle in enumerate(self.vehicles):
                 for datagram in vehicle.advance():
                     send(index, datagram)
+
+    def _due(self) -> int:
+        """Tick at which the next log data or pose is due."""
+        due = [vehicle.due() for vehicle in self.vehicles]
+        if self._feed_period is not None:
+            due.append(math.ceil(self._next_feed))
+        return min(due)
 
     def _feed(self) -> None:
         for index in range(len(self.vehicles)):

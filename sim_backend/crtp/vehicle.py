@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -131,6 +132,13 @@ class VirtualCrazyflie:
         packets += self.console.take()
         self.counters.sent += len(packets)
         return packets
+
+    def due(self) -> int:
+        """Tick of the fleet at which log data are due next; far away if no block is running."""
+        due = self.log.due()
+        if due is None:
+            return sys.maxsize
+        return self.flight.fleet.tick + due - self.flight.now_ms()
 
     def warm_up(self) -> None:
         """Compile what answers to commands, so that the first one in flight does not wait.

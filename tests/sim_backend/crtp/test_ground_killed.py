@@ -57,7 +57,7 @@ def test_sigkill_of_the_ground_station_stops_the_motors() -> None:
     locked_after, info = seen[-1]
     assert info & sv.INFO_LOCKED
     assert not info & sv.INFO_CAN_FLY
-    # 1000 ms after the last feed, which was at most 100 ms before the kill; not at once, and
-    # not only when the setpoints of a dead stream would have been missed.
-    assert any(time_ > 0.5 and bits & sv.INFO_FLYING for time_, bits in seen)
-    assert 0.7 < locked_after < 1.9
+    # 1000 ms after the last feed, which was at most some 100 ms before the kill: not at once. A
+    # dead stream of setpoints would lock too, but there is none in a high-level flight.
+    assert any(after > 0.3 and bits & sv.INFO_FLYING for after, bits in seen)
+    assert 0.5 < locked_after < 5.0
