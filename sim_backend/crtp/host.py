@@ -17,6 +17,7 @@ from crazyarena.mocap.sim_source import SimSource
 from crazyarena.mocap.zenoh_link import ZenohPublisher
 from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.crtp import faults as ft
+from crazyarena.sim_backend.crtp.film import IdealCameras
 from crazyarena.sim_backend.crtp.link import BASE_PORT
 from crazyarena.sim_backend.crtp.server import VirtualServer
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
@@ -184,14 +185,17 @@ def build(options: Options) -> Host:
         vehicle.warm_up()
 
     clock = WallClock()
-    cameras = publisher = None
+    cameras: SimSource | IdealCameras | None = None
+    publisher = None
     if options.mocap:
         rate = options.mocap_rate
         if not (math.isfinite(rate) and 0.0 < rate <= 500.0):
             raise InputError(f"--mocap-rate: found {rate}; need up to 500 Hz")
         publisher = ZenohPublisher(clock, listen=[options.mocap_endpoint])
-        model = CameraModel(rate=rate) if options.camera_noise else _ideal(rate)
-        cameras = SimSource(clock, model=model, seed=options.seed)
+        if options.camera_noise:
+            cameras = SimSource(clock, model=CameraModel(rate=rate), seed=options.seed)
+        else:
+            cameras = IdealCameras(clock.now(), rate)
     try:
         server = VirtualServer(
             swarm,
@@ -210,14 +214,3 @@ def build(options: Options) -> Host:
     if volts is not None:
         server.set_battery(volts)
     return Host(server, publisher)
-
-
-def _ideal(rate: float) -> CameraModel:
-    return CameraModel(
-        rate=rate,
-        latency=0.0,
-        latency_jitter=0.0,
-        position_noise=0.0,
-        attitude_noise=0.0,
-        dropout=0.0,
-    )

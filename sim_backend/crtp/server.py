@@ -14,6 +14,7 @@ from crazyarena.errors import InputError
 from crazyarena.mocap.sim_source import SimSource
 from crazyarena.mocap.zenoh_link import ZenohPublisher
 from crazyarena.sim_backend.crtp.faults import Faults
+from crazyarena.sim_backend.crtp.film import IdealCameras
 from crazyarena.sim_backend.crtp.link import BASE_PORT, UdpLink
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
 
@@ -62,7 +63,7 @@ class VirtualServer:
         *,
         faults: Faults | None = None,
         clock: Clock | None = None,
-        cameras: SimSource | None = None,
+        cameras: SimSource | IdealCameras | None = None,
         publisher: ZenohPublisher | None = None,
         seed: int = 0,
     ) -> None:
