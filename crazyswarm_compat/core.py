@@ -20,9 +20,9 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.checks import check
 from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
-from crazyarena.crazyswarm_compat.hardware import PoseFeed, start_hardware
+from crazyarena.crazyswarm_compat.hardware import PoseFeed, land_flying, start_hardware
 from crazyarena.errors import BackendError, CommandError
-from crazyarena.types import VehicleState
+from crazyarena.types import VehicleContact, VehicleState
 
 EVERYBODY = "all vehicles"
 # How long a script waits for the first pose of a vehicle that nobody has seen yet.
@@ -162,6 +162,12 @@ def _close(link: weakref.ref[Backend]) -> None:
         backend.close()
 
 
+def _land(link: weakref.ref[Backend], clock: Clock) -> None:
+    backend = link()
+    if backend is not None:
+        land_flying(backend, clock)
+
+
 class VehiclesById(dict[int, Any]):
     """Vehicles by id; a missing id says which there are."""
 
@@ -186,12 +192,24 @@ class FleetCore:
         check(command, EVERYBODY)
         self._backend.send(command, None)
 
-    def _start_hardware(self, fleet: FleetConfig, clock: Clock, mocap: str | None) -> None:
+    def _start_hardware(
+        self, fleet: FleetConfig, clock: Clock, mocap: str | None, watchdog: bool
+    ) -> None:
         try:
-            self._feed = start_hardware(fleet, self._backend, clock, mocap)
+            self._feed = start_hardware(fleet, self._backend, clock, mocap, watchdog)
         except BaseException:
             self._backend.close()
             raise
+        # Called before the link is released, as the latest registered.
+        atexit.register(_land, weakref.ref(self._backend), clock)
+
+    @property
+    def contacts(self) -> Sequence[VehicleContact]:
+        """Contacts between vehicles so far, by their ids, each at its beginning.
+
+        Simulations with dynamics report them (and warn); other backends know of none.
+        """
+        return tuple(getattr(self._backend, "contacts", ()))
 
     def close(self) -> None:
         """Release the link; idempotent."""

@@ -225,7 +225,7 @@ class CrazyflieServer(FleetCore):
     timeHelper: its clock drives the simulation.
     crazyflies_yaml: path ending in ``.yaml``, or the YAML text.
     backend: name in :data:`.registry.ENTRIES`.
-    uris, mocap: see :func:`.hardware.with_uris` and :func:`.hardware.start_hardware`.
+    uris, mocap, watchdog: see :func:`.hardware.with_uris`, :func:`.hardware.start_hardware`.
     """
 
     def __init__(
@@ -235,6 +235,7 @@ class CrazyflieServer(FleetCore):
         backend: str = "ideal",
         uris: str | None = None,
         mocap: str | None = None,
+        watchdog: bool = False,
     ) -> None:
         fleet = with_uris(_load_fleet(crazyflies_yaml, with_types=backend == "radio"), uris)
         link = open_backend(backend, fleet, timeHelper.clock, getattr(timeHelper, "options", None))
@@ -243,7 +244,7 @@ class CrazyflieServer(FleetCore):
         )
         timeHelper.crazyflies = self.crazyflies
         if backend == "radio":
-            self._start_hardware(fleet, timeHelper.clock, mocap)
+            self._start_hardware(fleet, timeHelper.clock, mocap, watchdog)
 
     def stop(self, groupMask: int = 0) -> None:
         """Make every high-level commander idle."""
@@ -296,6 +297,11 @@ class Crazyswarm:
         else:
             self.timeHelper = WallTimeHelper(WallClock())
         self.allcfs = CrazyflieServer(
-            self.timeHelper, crazyflies_yaml, parsed.backend, parsed.uri, parsed.mocap
+            self.timeHelper,
+            crazyflies_yaml,
+            parsed.backend,
+            parsed.uri,
+            parsed.mocap,
+            parsed.watchdog,
         )
         self.input = Joystick(self.timeHelper)

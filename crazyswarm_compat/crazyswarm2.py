@@ -218,6 +218,7 @@ class CrazyflieServer(FleetCore):
         fleet: FleetConfig,
         backend: str = "ideal",
         mocap: str | None = None,
+        watchdog: bool = False,
     ) -> None:
         link = open_backend(backend, fleet, timeHelper.clock, getattr(timeHelper, "options", None))
         configs = by_config(fleet, link)
@@ -230,7 +231,7 @@ class CrazyflieServer(FleetCore):
             timeHelper.crazyflies = [Viewed(link, config, timeHelper) for config in configs]
         timeHelper.after_sleep(self._spin)
         if backend == "radio":
-            self._start_hardware(fleet, timeHelper.clock, mocap)
+            self._start_hardware(fleet, timeHelper.clock, mocap, watchdog)
 
     @property
     def paramTypeDict(self) -> dict[str, dict[str, int]]:
@@ -294,7 +295,11 @@ class Crazyswarm:
         else:
             self.timeHelper = WallTimeHelper(WallClock())
         self.allcfs = CrazyflieServer(
-            self.timeHelper, with_uris(fleet, parsed.uri), parsed.backend, parsed.mocap
+            self.timeHelper,
+            with_uris(fleet, parsed.uri),
+            parsed.backend,
+            parsed.mocap,
+            parsed.watchdog,
         )
         self.input = Joystick(self.timeHelper)
 

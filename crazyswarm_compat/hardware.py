@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
 from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat.backend import Backend
+from crazyarena.crazyswarm_compat.commands import Land
 from crazyarena.crazyswarm_compat.config import FleetConfig
 from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.registry import pose_parts
 from crazyarena.errors import InputError
+
+_START_TOLERANCE = 0.3  # m
+_FLYING, _HIGH_LEVEL_ACTIVE = 1 << 4, 1 << 8  # of supervisor.info
+_LANDING_SPEED = 0.5  # m/s
+_LANDING_TIMEOUT = 10.0  # s
+_LOW = 0.15  # m
 
 
 def with_uris(fleet: FleetConfig, uris: str | None) -> FleetConfig:
@@ -75,10 +83,54 @@ class PoseFeed:
         self._pipeline.close()
 
 
+def land_flying(backend: Backend, clock: Clock) -> None:
+    """Land what still flies, and wait for it: a script that ends in the air, by an error or
+    Ctrl-C, would leave its vehicles hovering until their batteries are empty."""
+    flying = [v for v in backend.vehicles if _is_flying(backend, v)]
+    if not flying:
+        return
+    warn(f"the script ends while vehicles {flying} fly: landing them")
+    for vehicle in flying:
+        state = backend.telemetry(vehicle).state
+        height = 1.0 if state is None else float(state.position[2])
+        duration = max(1.5, height / _LANDING_SPEED)
+        backend.send(Land(0.0, duration), vehicle)
+    deadline = clock.now() + _LANDING_TIMEOUT
+    while clock.now() < deadline and any(_is_flying(backend, v) for v in flying):
+        clock.sleep_until(clock.now() + 0.1)
+
+
+def _is_flying(backend: Backend, vehicle: int) -> bool:
+    telemetry, connected = backend.telemetry(vehicle), getattr(backend, "connected", None)
+    flags = telemetry.supervisor
+    if flags is None or not flags & _FLYING or not (connected is None or connected(vehicle)):
+        return False
+    # The firmware keeps the bit for 2 s after touchdown.
+    high = telemetry.state is None or bool(telemetry.state.position[2] > _LOW)
+    return high or bool(flags & _HIGH_LEVEL_ACTIVE)
+
+
+def _compare_starts(fleet: FleetConfig, backend: Backend) -> None:
+    """Warn of vehicles that do not stand where the vehicle list says: scripts plan from there."""
+    for vehicle in fleet.vehicles:
+        state = backend.telemetry(vehicle.id).state
+        if state is None:
+            continue
+        distance = math.dist(state.position[:2], vehicle.initial_position[:2])
+        if distance > _START_TOLERANCE:
+            x, y = state.position[:2]
+            warn(
+                f"{vehicle.name} stands at ({x:.2f}, {y:.2f}), {distance:.2f} m from its initial "
+                f"position in {fleet.source}"
+            )
+
+
 def start_hardware(
-    fleet: FleetConfig, backend: Backend, clock: Clock, mocap: str | None
+    fleet: FleetConfig, backend: Backend, clock: Clock, mocap: str | None, watchdog: bool
 ) -> PoseFeed | None:
     """Feed poses from ``mocap`` and prepare the vehicles; None leaves both to somebody else.
+
+    ``watchdog`` arms the onboard emergency-stop watchdog, fed until the link is closed.
 
     Raises
     ------
@@ -96,6 +148,10 @@ def start_hardware(
     try:
         if prepare is not None:
             prepare()
+            _compare_starts(fleet, backend)
+        arm_watchdog = getattr(backend, "arm_watchdog", None)
+        if watchdog and arm_watchdog is not None:
+            arm_watchdog(feed_period=0.2)
     except BaseException:
         feed.close()
         raise

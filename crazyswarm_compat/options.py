@@ -56,6 +56,11 @@ def build_argparser(
     parser.add_argument(
         "--maxvel", type=float, default=math.inf, help="[sim] limit on the speed, m/s"
     )
+    parser.add_argument(
+        "--downwash",
+        action="store_true",
+        help="[sim] let vehicles push down on those below them (not with --backend ideal)",
+    )
     parser.add_argument("--video", metavar="PATH", help="[sim] write a film of the viewer")
     parser.add_argument(
         "--crazyflies-yaml", "--crazyflies_yaml", metavar="PATH", help="vehicle list to use"
@@ -71,6 +76,12 @@ def build_argparser(
         metavar="SOURCE[:HOST]",
         help="[radio] forward poses from here and prepare the vehicles before the script starts, "
         "e.g. vicon:192.168.1.2 or zenoh:tcp/127.0.0.1:7447",
+    )
+    parser.add_argument(
+        "--watchdog",
+        action="store_true",
+        help="[radio, with --mocap] arm the onboard emergency-stop watchdog: motors stop one "
+        "second after this program dies, ends or loses the link; then restart the vehicle",
     )
     return parser
 
@@ -111,9 +122,11 @@ def parse(
             if getattr(parsed, flag):
                 warn(f"--{flag} only works in simulation and is ignored")
     else:
-        for flag in ("uri", "mocap"):
-            if getattr(parsed, flag) is not None:
-                raise InputError(f"--{flag}: only --backend radio has one; give it or leave out")
+        for flag in ("uri", "mocap", "watchdog"):
+            if getattr(parsed, flag):
+                raise InputError(
+                    f"--{flag}: only --backend radio knows it; leave it out in simulation"
+                )
     if parsed.vis == "vispy" and parsed.sim:
         warn("--vis vispy: there is no vispy viewer here; using --vis mpl")
         parsed.vis = "mpl"

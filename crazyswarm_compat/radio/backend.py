@@ -322,6 +322,10 @@ class RadioBackend:
         """Whether the vehicle was heard within ``options.link_timeout``."""
         return self._link(vehicle).connected
 
+    def protocol(self, vehicle: int) -> int:
+        """CRTP protocol version of its firmware: 12 in 2026, 4 in 2022."""
+        return self._link(vehicle).protocol
+
     def statistics(self, vehicle: int) -> LinkStatistics:
         """Traffic by class and quality of the link."""
         return self._link(vehicle).statistics()

@@ -1,0 +1,169 @@
+"""Every command line of docs/hardware.md, run against the virtual vehicle."""
+
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from crazyarena.crazyswarm_compat.config import load_crazyflies_1
+
+ROOT = Path(__file__).resolve().parents[3]
+DOCUMENT = ROOT / "docs" / "hardware.md"
+
+
+def blocks(language):
+    """Contents of the fenced blocks of one language."""
+    text = DOCUMENT.read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+
+
+def free_port(kind):
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def test_the_vehicle_list_is_valid():
+    (text,) = blocks("yaml")
+    fleet = load_crazyflies_1(text)
+    assert fleet.vehicles[0].uri == "radio://0/80/2M/E7E7E7E701"
+    assert fleet.vehicles[0].firmware_params["stabilizer.estimator"] == 2
+
+
+def test_the_python_example_uses_what_exists():
+    (code,) = blocks("python")
+    imports = "\n".join(line for line in code.splitlines() if line.startswith("from"))
+    exec(compile(imports, str(DOCUMENT), "exec"), {})
+    compile(code, str(DOCUMENT), "exec")
+
+
+class Bench:
+    """Runs command lines; the virtual vehicle that one starts stays until the next."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.port = free_port(socket.SOCK_DGRAM)
+        self.zenoh = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+        self.vehicle = None
+
+    def local(self, line):
+        """The command line for the virtual vehicle and this test's ports."""
+        uri = f"udp://127.0.0.1:{self.port}"
+        line = line.replace("radio://0/80/2M/E7E7E7E701", uri).replace(":19850", f":{self.port}")
+        line = line.replace("vicon --host 192.168.1.10", f"zenoh --host {self.zenoh}")
+        line = line.replace("vicon:192.168.1.10", f"zenoh:{self.zenoh}")
+        line = line.replace("tcp/127.0.0.1:7447", self.zenoh)
+        if "hover.py" in line and "--mocap" in line and "--uri" not in line:
+            line += f" --uri {uri}"
+        words = line.split()
+        if words[0] == "crazyarena":
+            words[:1] = [sys.executable, "-m", "crazyarena"]
+        assert words[0] in ("python", sys.executable), line
+        return [sys.executable, *words[1:]]
+
+    def run(self, line):
+        if " virtual-cf" in line:
+            self.stop()
+            command = self.local(f"{line} --port {self.port} --mocap-endpoint {self.zenoh}")
+            self.vehicle = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
+            )
+            assert self.vehicle.stdout.readline().startswith("udp://")
+            return None
+        return subprocess.run(
+            self.local(line),
+            cwd=self.folder,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+
+    def stop(self):
+        if self.vehicle is not None:
+            self.vehicle.send_signal(signal.SIGTERM)
+            self.vehicle.wait(timeout=20)
+            self.vehicle.stdout.close()
+            self.vehicle = None
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    """The example's folder with the document's vehicle list, and a home of its own."""
+    folder = tmp_path / "examples"
+    shutil.copytree(ROOT / "examples" / "crazyswarm", folder)
+    (folder / "crazyflies.yaml").write_text(blocks("yaml")[0], encoding="utf-8")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    bench = Bench(folder)
+    yield bench
+    bench.stop()
+
+
+@pytest.mark.slow
+def test_every_command_line_works(bench):
+    lines = [line for block in blocks("sh") for line in block.splitlines() if line.strip()]
+    assert sum(" virtual-cf" in line for line in lines) == 2
+    assert sum("hover.py" in line for line in lines) == 4
+    flights = 0
+    for line in lines:
+        done = bench.run(line)
+        if done is None:
+            continue
+        report = f"{line}\n{done.stdout}\n{done.stderr}"
+        if "crazyswarm_compat.radio" in line:
+            # Of the second vehicle it must say that the link is bad.
+            assert done.returncode in (0, 1), report
+            assert "protocol 12" in done.stdout, report
+        elif "mocap-check" in line:
+            # The frozen pose of a vehicle at rest is its only complaint.
+            assert "frozen" in done.stdout, report
+            assert "never seen" not in done.stdout, report
+        else:
+            assert done.returncode == 0, report
+            assert "cf1 landed" in done.stdout, report
+            flights += 1
+        time.sleep(0.2)
+    assert flights == 4
+
+
+@pytest.mark.slow
+def test_a_script_that_fails_in_flight_lands_its_vehicle(bench):
+    bench.run("crazyarena virtual-cf --count 1")
+    (bench.folder / "broken.py").write_text(
+        "from pathlib import Path\n"
+        "from pycrazyswarm import Crazyswarm\n"
+        "swarm = Crazyswarm(crazyflies_yaml=Path(__file__).with_name('crazyflies.yaml'))\n"
+        "swarm.allcfs.takeoff(0.8, 1.5)\n"
+        "swarm.timeHelper.sleep(2.0)\n"
+        "raise ValueError('a bug')\n",
+        encoding="utf-8",
+    )
+    line = "python broken.py --uri udp://127.0.0.1:19850 --mocap zenoh:tcp/127.0.0.1:7447"
+    done = bench.run(line)
+    assert done.returncode == 1
+    assert "a bug" in done.stderr
+    assert "landing them" in done.stderr, done.stderr
+    (bench.folder / "after.py").write_text(
+        "import sys, time\n"
+        "from crazyarena.clock import WallClock\n"
+        "from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig\n"
+        "from crazyarena.crazyswarm_compat.radio import RadioBackend\n"
+        "vehicle = VehicleConfig(1, 'cf1', (0, 0, 0), uri=sys.argv[1])\n"
+        "backend = RadioBackend(FleetConfig((vehicle,), 'test'), WallClock())\n"
+        "time.sleep(1.0)\n"
+        "print('height', backend.telemetry(1).state.position[2])\n"
+        "print('locked', backend.supervisor(1).locked)\n"
+        "backend.close()\n",
+        encoding="utf-8",
+    )
+    after = bench.run("python after.py udp://127.0.0.1:19850")
+    assert after.returncode == 0, after.stderr
+    height = float(re.search(r"height (\S+)", after.stdout)[1])
+    assert abs(height) < 0.1
+    assert "locked False" in after.stdout
