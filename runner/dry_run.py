@@ -22,12 +22,15 @@ from crazyarena.runner.contestant import Submission, entry_file
 from crazyarena.runner.crew import Crew, MeasuredTrack
 from crazyarena.runner.flight import FlightTrial
 from crazyarena.runner.flight_options import FlightOptions
+from crazyarena.runner.injection import Injection
 from crazyarena.runner.recording import Recorder
 from crazyarena.runner.report import provenance, table, write_result
 from crazyarena.runner.result import EpisodeResult, TrialResult
+from crazyarena.runner.safeguard import limits_for
 from crazyarena.runner.tracked_world import TrackedWorld
 from crazyarena.runner.trial import Trial
 from crazyarena.runner.world import World
+from crazyarena.safety.limits import Limits
 from crazyarena.sim_backend import jit
 
 
@@ -41,15 +44,16 @@ def example_racer() -> Path:
     raise InputError("the example racer is not part of this installation. Pass a submission")
 
 
-def make_world(level: Level, seed: int) -> World:
-    """Return the simulated world of a level's profile; ``seed`` is that of its noise."""
+def make_world(level: Level, seed: int, limits: Limits | None = None) -> World:
+    """Return the simulated world of a level's profile; ``seed`` is that of its noise, ``limits``
+    those of its watchdog."""
     if level.profile is Profile.COMPETITION:
         from crazyarena.sim_backend.competition import CompetitionWorld
 
         return CompetitionWorld(level.control_frequency)
     from crazyarena.runner.rig import simulated
 
-    return TrackedWorld(simulated(level, seed))
+    return TrackedWorld(simulated(level, seed, limits=limits))
 
 
 def _results_folder(out: Path | None, submission: Path, level: Level) -> Path:
@@ -153,7 +157,11 @@ class DryRun:
         return result
 
     def _make_world(self) -> World:
-        return make_world(self._level, self._seed)
+        return make_world(self._level, self._seed, self._limits())
+
+    def _limits(self) -> Limits:
+        """Of the watchdog."""
+        return limits_for(self._level.control_frequency, self._options.max_misses)
 
     def _contender(self) -> Contender:
         options, arena = self._options, self._level.profile is Profile.ARENA
@@ -194,18 +202,29 @@ class DryRun:
         elif isinstance(contender, InProcess) and deadlines.compute.mode == FREE:
             return Trial(self._level, contender.submission, world, **common).run()
         watch = world.rig.safeguard if isinstance(world, TrackedWorld) else None
-        return FlightTrial(
+        trial = FlightTrial(
             self._level,
             contender,
             world,
             crew=crew,
             watch=watch,
+            injection=self._injection(stack),
             deadlines=deadlines,
+            real_time=self._real_time,
             **common,
-        ).run()
+        )
+        result = trial.run()
+        if trial.in_force:
+            origin["real_time"] = trial.in_force
+        return result
+
+    _real_time = False
 
     def _crew(self, world: TrackedWorld) -> Crew:
         return Crew(world.rig, world, self._level)
+
+    def _injection(self, stack: contextlib.ExitStack) -> Injection:
+        return Injection()
 
     @staticmethod
     def _remove_if_empty(*folders: Path) -> None:

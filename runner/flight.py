@@ -7,7 +7,7 @@ arm, countdown, run, complete or fail, return and land, disarm.
 
 from __future__ import annotations
 
-import gc
+import contextlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +26,7 @@ from crazyarena.runner.control_loop import ControlLoop, Deadlines
 from crazyarena.runner.crew import Aborted, Crew, MeasuredTrack, OnPhase, Phase
 from crazyarena.runner.episode import Interrupt
 from crazyarena.runner.injection import Injection
+from crazyarena.runner.realtime import quiet_collector, steady
 from crazyarena.runner.recording import Recorder
 from crazyarena.runner.referee import Event, Referee, observation
 from crazyarena.runner.result import (
@@ -86,6 +87,8 @@ class FlightTrial:
     crew: for worlds with a vehicle that must be brought up and down; None for the competition's
         own simulation, where an episode is nothing but its run.
     watch: ends runs for safety's sake.
+    real_time: ask for locked memory and real-time scheduling during runs; ``in_force`` says
+        afterwards what was granted.
     injection: told of the measured track and of every verdict, and publishes them.
     """
 
@@ -99,6 +102,7 @@ class FlightTrial:
         watch: Watch | None = None,
         injection: Injection | None = None,
         deadlines: Deadlines | None = None,
+        real_time: bool = False,
         episodes: int | None = None,
         seed: int | None = None,
         out: Path | None = None,
@@ -127,6 +131,8 @@ class FlightTrial:
         self._on_episode = on_episode
         self._wall = wall if wall is not None else WallClock()
         self._made = False
+        self._steady = real_time
+        self.in_force: list[str] = []
 
     def run(self) -> TrialResult:
         """Fly; raises InputError when the controller cannot be constructed."""
@@ -170,14 +176,13 @@ class FlightTrial:
             return self._aborted(index, referee, error), obs
         recorder = self._recorder(index, draw, track, start)
         self._injection.begin(track, self._level, recorder)
-        gc.collect()
-        gc.freeze()
-        gc.disable()
         try:
-            result, obs = self._run(index, referee, obs, interrupt, recorder)
+            with contextlib.ExitStack() as quiet:
+                quiet.enter_context(quiet_collector())
+                if self._steady:
+                    self.in_force = quiet.enter_context(steady())
+                result, obs = self._run(index, referee, obs, interrupt, recorder)
         finally:
-            gc.enable()
-            gc.unfreeze()
             if recorder is not None:
                 self._finish(recorder)
         result.reveals = self._injection.reveals

@@ -29,7 +29,7 @@ from crazyarena.levels.draw import LevelRandom
 from crazyarena.levels.schema import Level
 from crazyarena.types import Pose
 
-_START_TIMEOUT = 120.0  # s; the first run compiles
+_START_TIMEOUT = 300.0  # s; the first run compiles
 
 
 def _serve(config: dict[str, Any]) -> None:

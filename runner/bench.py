@@ -1,0 +1,141 @@
+"""The whole hardware path without hardware; what ``crazyarena bench`` does.
+
+A virtual arena runs in a process of its own; the trial reaches its vehicle through cflib over
+UDP and sees it through cameras on zenoh, in real time. Each run is then flown as a dry run with
+the same seed, and the two groups are compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from crazyarena.levels.schema import Level
+from crazyarena.mocap.zenoh_link import ZenohSource
+from crazyarena.runner.compare import Comparison, compare
+from crazyarena.runner.dry_run import DryRun
+from crazyarena.runner.flight_options import FlightOptions
+from crazyarena.runner.fly import Fly
+from crazyarena.runner.hardware import connected
+from crazyarena.runner.result import TrialResult
+from crazyarena.runner.rig import Rig
+from crazyarena.runner.virtual_arena import VirtualArena
+from crazyarena.safety.limits import Limits
+
+
+@dataclass
+class BenchResult:
+    """Results of the real-time runs, of the dry runs beside them, and their difference."""
+
+    flown: list[TrialResult] = field(default_factory=list)
+    dry: list[TrialResult] = field(default_factory=list)
+    arenas: list[dict[str, Any]] = field(default_factory=list)
+    comparison: Comparison | None = None
+
+    @property
+    def clean(self) -> bool:
+        return all(result.clean for result in (*self.flown, *self.dry))
+
+
+class Bench:
+    """One call of the command.
+
+    Parameters
+    ----------
+    out: results folder; ``bench_<i>`` and ``dry_<i>`` are made in it.
+    runs: how many of each; run i uses the seed plus i.
+    dry: fly the dry runs and compare.
+    """
+
+    def __init__(
+        self,
+        submission: Path | None,
+        level: str,
+        out: Path,
+        *,
+        overrides: list[str] | None = None,
+        runs: int = 1,
+        seed: int = 0,
+        dry: bool = True,
+        options: FlightOptions | None = None,
+        real_time: bool = True,
+        figure: bool = True,
+        console: Console | None = None,
+    ) -> None:
+        self._submission = submission
+        self._level = level
+        self._out = out
+        self._runs = runs
+        self._seed = seed
+        self._dry = dry
+        self._real_time = real_time
+        self._console = console if console is not None else Console()
+        self._common: dict[str, Any] = {
+            "overrides": overrides or [],
+            "episodes": 1,
+            "options": options,
+            "figure": figure,
+            "console": self._console,
+        }
+
+    def run(self) -> BenchResult:
+        """Fly everything."""
+        result = BenchResult()
+        for index in range(self._runs):
+            seed = self._seed + index
+            folder = self._out / f"bench_{index:02d}"
+            folder.mkdir(parents=True, exist_ok=True)
+            result.flown.append(self._fly(folder, seed, result))
+            if self._dry:
+                dry = DryRun(
+                    self._submission,
+                    self._level,
+                    seed=seed,
+                    out=self._out / f"dry_{index:02d}",
+                    **self._common,
+                )
+                result.dry.append(dry.run())
+        if self._dry:
+            result.comparison = compare(
+                [self._out / f"dry_{i:02d}" for i in range(self._runs)],
+                [self._out / f"bench_{i:02d}" for i in range(self._runs)],
+                ("dry run", "bench"),
+            )
+        return result
+
+    def _fly(self, folder: Path, seed: int, result: BenchResult) -> TrialResult:
+        arenas: list[VirtualArena] = []
+
+        def open_rig(level: Level, limits: Limits) -> Rig:
+            arena = VirtualArena(level, seed, folder)
+            arenas.append(arena)
+            try:
+                rig = connected(
+                    level,
+                    arena.uri,
+                    lambda clock: ZenohSource(clock, connect=[arena.endpoint]),
+                    limits=limits,
+                    description={"mocap": f"zenoh {arena.endpoint}", "world": "bench"},
+                )
+            except BaseException:
+                arena.close()
+                raise
+            rig.closers.insert(0, arena.close)
+            return rig
+
+        fly = Fly(
+            self._submission,
+            self._level,
+            seed=seed,
+            out=folder,
+            open_rig=open_rig,
+            yes=True,
+            real_time=self._real_time,
+            **self._common,
+        )
+        flown = fly.run()
+        result.arenas += [arena.report for arena in arenas]
+        return flown

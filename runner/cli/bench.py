@@ -1,0 +1,99 @@
+"""``crazyarena bench``: the whole hardware path in real time, without hardware."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from crazyarena.runner.cli.common import (
+    EXIT_NOT_CLEAN,
+    Compute,
+    ComputeFactor,
+    Late,
+    LateChoice,
+    MaxMisses,
+    RequireSandbox,
+    bad_input_exits,
+)
+
+
+def register(app: typer.Typer) -> None:
+    app.command("bench")(bench)
+
+
+def bench(
+    submission: Annotated[
+        Path | None, typer.Argument(help="As for dry-run. Default: the example racer.")
+    ] = None,
+    level: Annotated[str, typer.Option(help="Arena level, or a level file.")] = "sim2real",
+    runs: Annotated[int, typer.Option(min=1, max=100, help="Run i uses seed + i.")] = 1,
+    seed: Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Results folder.")] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="FIELD=VALUE", help="Override a field of the level."),
+    ] = None,
+    dry: Annotated[
+        bool, typer.Option("--dry/--no-dry", help="Fly the dry runs too, and compare.")
+    ] = True,
+    compute: Compute = None,
+    compute_factor: ComputeFactor = 1.0,
+    late: Late = LateChoice.HOLD,
+    max_misses: MaxMisses = 15,
+    require_sandbox: RequireSandbox = False,
+    real_time: Annotated[
+        bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
+    ] = True,
+    figure: Annotated[bool, typer.Option(help="Write figures.")] = True,
+) -> None:
+    """Fly a virtual Crazyflie over UDP with cameras over zenoh, in real time.
+
+    Radio protocol, client, camera network, watchdog and contestant's process are those of a
+    flight; --compute is for the dry runs that it is compared with.
+    """
+    with bad_input_exits():
+        import datetime
+
+        from rich.console import Console
+
+        from crazyarena.levels import load_level
+        from crazyarena.runner import compare as comparing
+        from crazyarena.runner.bench import Bench
+        from crazyarena.runner.flight_options import FlightOptions
+
+        console = Console()
+        loaded = load_level(level, set_ or [])
+        stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+        folder = out if out is not None else Path("runs") / f"{stamp}-bench-{loaded.name}"
+        folder.mkdir(parents=True, exist_ok=True)
+        result = Bench(
+            submission,
+            level,
+            folder.resolve(),
+            overrides=set_ or [],
+            runs=runs,
+            seed=loaded.seed if seed is None else seed,
+            dry=dry,
+            options=FlightOptions(
+                require_sandbox=require_sandbox,
+                compute=compute,
+                factor=compute_factor,
+                late=late.policy,
+                max_misses=max_misses,
+            ),
+            real_time=real_time,
+            figure=figure,
+            console=console,
+        ).run()
+        if result.comparison is not None:
+            console.print(comparing.table(result.comparison))
+            summary = {**result.comparison.summary(), "arenas": result.arenas}
+            (folder / "compare.json").write_text(json.dumps(summary, indent=2) + "\n")
+            if figure:
+                comparing.save_figure(folder / "compare.png", result.comparison)
+                console.print(f"Figure: {folder / 'compare.png'}", highlight=False, soft_wrap=True)
+    if not result.clean:
+        raise typer.Exit(EXIT_NOT_CLEAN)

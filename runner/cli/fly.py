@@ -1,0 +1,145 @@
+"""``crazyarena fly``: a trial on a real vehicle, or its dry run with the same line."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from crazyarena.runner.cli.common import (
+    EXIT_NOT_CLEAN,
+    Compute,
+    ComputeFactor,
+    Late,
+    LateChoice,
+    MaxMisses,
+    RequireSandbox,
+    bad_input_exits,
+)
+from crazyarena.runner.cli.mocap_options import HOST_HELP, OPTION_HELP, SOURCE_HELP
+
+
+class BackendChoice(StrEnum):
+    """What stands behind clock, link and pose source."""
+
+    SIM = "sim"
+    RADIO = "radio"
+
+
+def register(app: typer.Typer) -> None:
+    app.command("fly")(fly)
+
+
+def fly(
+    submission: Annotated[
+        Path | None, typer.Argument(help="As for dry-run. Default: the example racer.")
+    ] = None,
+    level: Annotated[str, typer.Option(help="Arena level, or a level file.")] = "sim2real",
+    backend: Annotated[
+        BackendChoice, typer.Option(help="radio flies; sim is the dry run of the same line.")
+    ] = BackendChoice.RADIO,
+    uri: Annotated[
+        str | None,
+        typer.Option(help="Vehicle's link: radio://0/80/2M/E7E7E7E701, usb://0, udp://HOST:PORT."),
+    ] = None,
+    vehicle: Annotated[int, typer.Option(min=0, max=255, help="Id of the vehicle.")] = 1,
+    body: Annotated[
+        str | None, typer.Option(help="Its name in the camera system. Default: cf<id>.")
+    ] = None,
+    mocap: Annotated[str | None, typer.Option(help=SOURCE_HELP)] = None,
+    mocap_host: Annotated[str | None, typer.Option(help=HOST_HELP)] = None,
+    mocap_option: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=VALUE", help=OPTION_HELP)
+    ] = None,
+    survey: Annotated[
+        str | None,
+        typer.Option(help="File of crazyarena mocap-survey. Default: measure the track now."),
+    ] = None,
+    publish: Annotated[
+        str | None,
+        typer.Option(metavar="ENDPOINT", help="Zenoh endpoint to publish the trial on."),
+    ] = None,
+    episodes: Annotated[int | None, typer.Option(min=1)] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Results folder.")] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="FIELD=VALUE", help="Override a field of the level."),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before arming.")] = False,
+    record: Annotated[bool, typer.Option(help="Write an MCAP file an episode.")] = True,
+    figure: Annotated[bool, typer.Option(help="Write a PNG an episode.")] = True,
+    compute: Compute = None,
+    compute_factor: ComputeFactor = 1.0,
+    late: Late = LateChoice.HOLD,
+    max_misses: MaxMisses = 15,
+    require_sandbox: RequireSandbox = False,
+    real_time: Annotated[
+        bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
+    ] = True,
+) -> None:
+    """Connect, check, survey the track, arm, fly, come home, land.
+
+    Exit codes as for dry-run.
+    """
+    with bad_input_exits():
+        from crazyarena.errors import InputError
+        from crazyarena.levels.schema import Level
+        from crazyarena.runner.cli.mocap_options import open_named_source
+        from crazyarena.runner.flight_options import FlightOptions
+        from crazyarena.runner.fly import Fly
+        from crazyarena.runner.rig import Rig, simulated
+        from crazyarena.safety.limits import Limits
+
+        real = backend is BackendChoice.RADIO
+        if real and (uri is None or mocap is None):
+            raise InputError(
+                "fly --backend radio: needs --uri and --mocap (e.g. --uri "
+                "radio://0/80/2M/E7E7E7E701 --mocap vicon --mocap-host 192.168.1.5)"
+            )
+
+        def open_rig(loaded: Level, limits: Limits) -> Rig:
+            if not real:
+                return simulated(loaded, loaded.seed if seed is None else seed, limits=limits)
+            from crazyarena.runner.hardware import connected
+
+            assert uri is not None
+            assert mocap is not None
+            kind = mocap
+            return connected(
+                loaded,
+                uri,
+                lambda clock: open_named_source(kind, mocap_host, mocap_option or [], clock),
+                vehicle=vehicle,
+                body=body,
+                limits=limits,
+                description={"mocap": kind, "mocap_host": mocap_host, "world": "arena"},
+            )
+
+        run = Fly(
+            submission,
+            level,
+            set_ or [],
+            episodes,
+            seed,
+            out,
+            record,
+            figure,
+            options=FlightOptions(
+                require_sandbox=require_sandbox,
+                compute=compute,
+                factor=compute_factor,
+                late=late.policy,
+                max_misses=max_misses,
+            ),
+            open_rig=open_rig,
+            yes=yes or not real,
+            surveyed=survey,
+            publish=None if publish is None else {"connect": [publish]},
+            real_time=real_time and real,
+        )
+        result = run.run()
+    if not result.clean:
+        raise typer.Exit(EXIT_NOT_CLEAN)

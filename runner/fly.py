@@ -1,0 +1,110 @@
+"""A trial with a vehicle on a link and a camera system; what ``crazyarena fly`` does."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from crazyarena.errors import InputError
+from crazyarena.levels.schema import Level, Profile
+from crazyarena.mocap.survey import read_track
+from crazyarena.runner.crew import Crew, Phase
+from crazyarena.runner.dry_run import DryRun
+from crazyarena.runner.injection import DEFAULT_PREFIX, Injection, ZenohOutlet
+from crazyarena.runner.rig import Rig
+from crazyarena.runner.tracked_world import TrackedWorld
+from crazyarena.runner.world import World
+from crazyarena.safety.limits import Limits
+from crazyarena.types import Pose
+
+OpenRig = Callable[[Level, Limits], Rig]
+
+
+class Fly(DryRun):
+    """As :class:`~crazyarena.runner.dry_run.DryRun`, on a rig that somebody else opens.
+
+    Parameters
+    ----------
+    open_rig: connects; called once, before anything else happens.
+    yes: do not ask the operator.
+    surveyed: file of an earlier survey; None measures the track.
+    publish: zenoh endpoints (``connect``, ``listen``) to tell of the track and of what the
+        contestant is told; None keeps it in the recording alone.
+    """
+
+    def __init__(
+        self,
+        *arguments: Any,
+        open_rig: OpenRig,
+        yes: bool = False,
+        surveyed: str | None = None,
+        publish: dict[str, list[str]] | None = None,
+        real_time: bool = True,
+        **options: Any,
+    ) -> None:
+        super().__init__(*arguments, **options)
+        if self._level.profile is not Profile.ARENA:
+            raise InputError(
+                f"level {self._level.name}: profile '{self._level.profile.value}' is a simulation "
+                "of its own; only arena levels can be flown. Add --set profile=arena"
+            )
+        if self._options.sandbox is False:
+            raise InputError("fly: a contestant never shares the process of a vehicle's link")
+        self._open_rig = open_rig
+        self._yes = yes
+        self._surveyed: dict[str, Pose] | None = None if surveyed is None else read_track(surveyed)
+        self._publish = publish
+        self._real_time = real_time
+        self._sources: list[Any] = []
+
+    def _make_world(self) -> World:
+        return TrackedWorld(self._open_rig(self._level, self._limits()))
+
+    def _crew(self, world: TrackedWorld) -> Crew:
+        return Crew(
+            world.rig,
+            world,
+            self._level,
+            confirm=lambda question: self._confirm(question, world),
+            on_phase=self._tell,
+            surveyed=self._surveyed,
+        )
+
+    def _injection(self, stack: contextlib.ExitStack) -> Injection:
+        stack.callback(self._close_sources)
+        if self._publish is None:
+            return Injection()
+        outlet = ZenohOutlet(DEFAULT_PREFIX, **self._publish)
+        stack.callback(outlet.close)
+        return Injection(outlet)
+
+    def _tell(self, phase: Phase, text: str) -> None:
+        line = phase.value if not text else f"{phase.value}: {text}"
+        self._console.print(line, highlight=False, markup=False)
+
+    def _confirm(self, question: str, world: TrackedWorld) -> bool:
+        if not self._yes:
+            if not sys.stdin.isatty():
+                raise InputError("fly: nobody can answer here. Pass --yes to start without asking")
+            if not self._console.input(f"{question} [y/N] ").strip().lower().startswith("y"):
+                return False
+        self._listen_for_stops(world)
+        return True
+
+    def _listen_for_stops(self, world: TrackedWorld) -> None:
+        """``crazyarena estop`` from another shell, and the terminal's keys."""
+        from crazyarena.safety.estop_sources import KeyboardSource, SocketSource
+
+        guard = world.rig.safeguard
+        if guard is None or self._sources:
+            return
+        self._sources.append(SocketSource(guard.estop))
+        if sys.stdin.isatty():
+            self._sources.append(KeyboardSource(guard.estop))
+            self._tell(Phase.ARM, "space stops the motors; Ctrl-C lands")
+
+    def _close_sources(self) -> None:
+        while self._sources:
+            self._sources.pop().close()

@@ -1,0 +1,79 @@
+"""Keeps the runner's own ticks free of what would delay them.
+
+The collector is frozen and off, memory is locked (no page faults), and the control thread runs
+in front of ordinary ones; the last two as far as the system allows.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+from collections.abc import Iterator
+
+_CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4
+PRIORITY = 40  # below the watchdog's
+
+
+def lock_memory() -> str:
+    """Lock this process's memory; returns what came of it, in words."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_CURRENT | _FUTURE | _ON_FAULT) == 0:
+        return "memory locked"
+    reason = os.strerror(ctypes.get_errno())
+    return (
+        f"memory not locked ({reason}): page faults may delay ticks. "
+        "Raise the limit: ulimit -l unlimited, or memlock in /etc/security/limits.conf"
+    )
+
+
+def unlock_memory() -> None:
+    """Undo :func:`lock_memory`."""
+    ctypes.CDLL(None).munlockall()
+
+
+def raise_priority() -> str:
+    """Schedule the calling thread in real time; returns what came of it, in words.
+
+    What it starts from now on is scheduled as usual.
+    """
+    try:
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(0, policy, os.sched_param(PRIORITY))
+    except (OSError, AttributeError) as error:
+        return (
+            f"ordinary scheduling ({error}): other programs may delay ticks. "
+            "Allow it: rtprio 50 for this user in /etc/security/limits.conf"
+        )
+    return f"SCHED_FIFO {PRIORITY}"
+
+
+def lower_priority() -> None:
+    """Undo :func:`raise_priority`."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+@contextlib.contextmanager
+def quiet_collector() -> Iterator[None]:
+    """No garbage collection inside the ``with`` block, and cheap ones after it."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+@contextlib.contextmanager
+def steady() -> Iterator[list[str]]:
+    """Lock memory and raise the priority inside the ``with`` block; yields what is in force."""
+    notes = [lock_memory(), raise_priority()]
+    try:
+        yield notes
+    finally:
+        lower_priority()
+        unlock_memory()
