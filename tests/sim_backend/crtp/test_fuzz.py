@@ -118,11 +118,10 @@ def test_mangled_recordings(bench: Bench, data: st.DataObject) -> None:
     _assert_at_rest(bench, start)
 
 
-@pytest.mark.parametrize("kind", sorted(_SETPOINT_BYTES))
+# Type 6 has integers only.
+@pytest.mark.parametrize("kind", sorted(set(_SETPOINT_BYTES) - {6}))
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e30])
 def test_setpoints_that_no_vehicle_could_hold(bench: Bench, kind: int, value: float) -> None:
-    if kind == 6:
-        pytest.skip("integers only")
     size = _SETPOINT_BYTES[kind]
     start = bench.fleet.true_state(0).position
     payload = struct.pack("<Bffff", kind, value, 0.0, value, value)[:size].ljust(size, b"\0")
