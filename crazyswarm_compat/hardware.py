@@ -19,6 +19,7 @@ _FLYING, _HIGH_LEVEL_ACTIVE = 1 << 4, 1 << 8  # of supervisor.info
 _LANDING_SPEED = 0.5  # m/s
 _LANDING_TIMEOUT = 10.0  # s
 _LOW = 0.15  # m
+_SETTLE = 0.5  # s
 
 
 def with_uris(fleet: FleetConfig, uris: str | None) -> FleetConfig:
@@ -98,6 +99,8 @@ def land_flying(backend: Backend, clock: Clock) -> None:
     deadline = clock.now() + _LANDING_TIMEOUT
     while clock.now() < deadline and any(_is_flying(backend, v) for v in flying):
         clock.sleep_until(clock.now() + 0.1)
+    # The plan ends a little before the vehicle touches down; until then it needs poses.
+    clock.sleep_until(clock.now() + _SETTLE)
 
 
 def _is_flying(backend: Backend, vehicle: int) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -13,7 +14,8 @@ from crazyarena.errors import InputError
 
 def default_cache() -> Path:
     """Folder for tables of contents, kept between sessions."""
-    return Path.home() / ".cache" / "crazyarena" / "toc"
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "crazyarena" / "toc"
 
 
 @dataclass(frozen=True, slots=True)

@@ -94,12 +94,11 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path, monkeypatch):
-    """The example's folder with the document's vehicle list, and a home of its own."""
+def bench(tmp_path):
+    """The example's folder with the document's vehicle list."""
     folder = tmp_path / "examples"
     shutil.copytree(ROOT / "examples" / "crazyswarm", folder)
     (folder / "crazyflies.yaml").write_text(blocks("yaml")[0], encoding="utf-8")
-    monkeypatch.setenv("HOME", str(tmp_path))
     bench = Bench(folder)
     yield bench
     bench.stop()
