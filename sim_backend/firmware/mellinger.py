@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from crazyarena.sim_backend.firmware.arithmetic import clip, to_int16
 from crazyarena.sim_backend.firmware.layout import (
     CT_PITCH,
     CT_ROLL,
@@ -110,29 +111,12 @@ def reset(mem: np.ndarray) -> None:
 
 
 @kernel
-def _clip(value: float, limit: float) -> float:
-    if value > limit:
-        return limit
-    if value < -limit:
-        return -limit
-    return value
-
-
-@kernel
-def _to_int16(value: float) -> float:
-    """Truncate a limited moment; not-a-number (undefined in C) becomes 0."""
-    if math.isnan(value):
-        return 0.0
-    return float(int(_clip(value, _LIMIT)))
-
-
-@kernel
 def _integrate(par: np.ndarray, mem: np.ndarray, state: np.ndarray, sp: np.ndarray) -> None:
     """Integrate the position error (in every mode)."""
     for i in range(3):
         limit = par[_I_RANGE_Z] if i == 2 else par[_I_RANGE_XY]
         error = sp[SP_POS + i] - state[ST_POS + i]
-        mem[MEM_I_POS + i] = _clip(mem[MEM_I_POS + i] + error * _DT, limit)
+        mem[MEM_I_POS + i] = clip(mem[MEM_I_POS + i] + error * _DT, limit)
 
 
 @kernel
@@ -288,9 +272,9 @@ def _attitude_control(
     mem[MEM_RATE_SP] = want_x
     mem[MEM_RATE_SP + 1] = want_y
 
-    i_x = _clip(mem[MEM_I_ATT] - error_x * _DT, par[_I_RANGE_M_XY])
-    i_y = _clip(mem[MEM_I_ATT + 1] - error_y * _DT, par[_I_RANGE_M_XY])
-    i_z = _clip(mem[MEM_I_ATT + 2] - error_z * _DT, par[_I_RANGE_M_Z])
+    i_x = clip(mem[MEM_I_ATT] - error_x * _DT, par[_I_RANGE_M_XY])
+    i_y = clip(mem[MEM_I_ATT + 1] - error_y * _DT, par[_I_RANGE_M_XY])
+    i_z = clip(mem[MEM_I_ATT + 2] - error_z * _DT, par[_I_RANGE_M_Z])
     mem[MEM_I_ATT] = i_x
     mem[MEM_I_ATT + 1] = i_y
     mem[MEM_I_ATT + 2] = i_z
@@ -298,10 +282,10 @@ def _attitude_control(
     out[CT_THRUST] = thrust
     if thrust > 0.0:
         kr, kw, ki, kd = par[_KR_XY], par[_KW_XY], par[_KI_M_XY], par[_KD_OMEGA_RP]
-        out[CT_ROLL] = _to_int16(-kr * error_x + kw * rate_error_x + ki * i_x + kd * kick_x)
-        out[CT_PITCH] = _to_int16(-kr * error_y + kw * rate_error_y + ki * i_y + kd * kick_y)
+        out[CT_ROLL] = to_int16(-kr * error_x + kw * rate_error_x + ki * i_x + kd * kick_x, _LIMIT)
+        out[CT_PITCH] = to_int16(-kr * error_y + kw * rate_error_y + ki * i_y + kd * kick_y, _LIMIT)
         moment_z = -par[_KR_Z] * error_z + par[_KW_Z] * rate_error_z + par[_KI_M_Z] * i_z
-        out[CT_YAW] = _to_int16(-moment_z)
+        out[CT_YAW] = to_int16(-moment_z, _LIMIT)
     else:
         out[CT_ROLL] = 0.0
         out[CT_PITCH] = 0.0

@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from crazyarena.sim_backend.firmware import lowpass
+from crazyarena.sim_backend.firmware.arithmetic import clip, to_int16
 from crazyarena.sim_backend.firmware.layout import (
     CT_PITCH,
     CT_ROLL,
@@ -135,23 +136,6 @@ _FB0, _FB1, _FB2, _FA1, _FA2 = (float(c) for c in _filter)
 
 
 @kernel
-def _clip(value: float, limit: float) -> float:
-    if value > limit:
-        return limit
-    if value < -limit:
-        return -limit
-    return value
-
-
-@kernel
-def _to_int16(value: float) -> float:
-    """Saturate and truncate; not-a-number (undefined in C) becomes 0."""
-    if math.isnan(value):
-        return 0.0
-    return float(int(_clip(value, _INT16_MAX)))
-
-
-@kernel
 def _wrap_once(angle: float) -> float:
     if angle > 180.0:
         return angle - 360.0
@@ -201,7 +185,7 @@ def _step(
         mem[at + _DELAY] = d0
         mem[at + _DELAY + 1] = d1
         derivative = _FB0 * d0 + _FB1 * d1 + _FB2 * d2
-    integral = _clip(mem[at + _INTEGRAL] + error * dt, integral_limit)
+    integral = clip(mem[at + _INTEGRAL] + error * dt, integral_limit)
     mem[at + _INTEGRAL] = integral
     return (
         par[gain + _KP] * error
@@ -250,7 +234,7 @@ def _yaw_target(
         target = _wrap(float(np.float32(target) + change))
         widest = par[_YAW_MAX_DELTA]
         if modern and widest != 0.0:
-            target = state[ST_ATT + 2] + _clip(_wrap(target - state[ST_ATT + 2]), widest)
+            target = state[ST_ATT + 2] + clip(_wrap(target - state[ST_ATT + 2]), widest)
     elif sp[M_YAW] == MODE_ABS or not modern:
         target = sp[SP_ATT + 2]
     elif sp[M_QUAT] == MODE_ABS:
@@ -296,7 +280,7 @@ def _position_part(
                 par, mem, modern, X + i, target, measured, _POSITION_DT, _POSITION_INTEGRAL
             )
             at = _X_VEL_MAX + i if modern or i == 2 else _XY_VEL_MAX
-            mem[MEM_VEL + i] = _clip(velocity, par[at] * _OVERHEAD)
+            mem[MEM_VEL + i] = clip(velocity, par[at] * _OVERHEAD)
 
     roll_limit = par[_R_LIMIT] if modern else par[_RP_LIMIT]
     pitch_limit = par[_P_LIMIT] if modern else par[_RP_LIMIT]
@@ -321,15 +305,15 @@ def _position_part(
             _POSITION_INTEGRAL,
         )
         if i == 0:
-            a = _clip(value, pitch_limit * _OVERHEAD)
+            a = clip(value, pitch_limit * _OVERHEAD)
         elif i == 1:
-            b = _clip(value, roll_limit * _OVERHEAD)
+            b = clip(value, roll_limit * _OVERHEAD)
         else:
-            lift = _clip(value, _VZ_OUTPUT)
+            lift = clip(value, _VZ_OUTPUT)
     if not modern:
         a, b = a * c + b * s, b * c - a * s
-    mem[MEM_ATTITUDE] = _clip(-b, roll_limit)
-    mem[MEM_ATTITUDE + 1] = _clip(-a, pitch_limit)
+    mem[MEM_ATTITUDE] = clip(-b, roll_limit)
+    mem[MEM_ATTITUDE + 1] = clip(-a, pitch_limit)
     thrust = max(lift * _THRUST_SCALE + par[_THRUST_BASE], par[_THRUST_MIN])
     mem[MEM_THRUST] = min(thrust, _THRUST_MAX) if modern else thrust
 
@@ -369,7 +353,7 @@ def _attitude_part(
         measured = -state[ST_GYRO + 1] if i == 1 else state[ST_GYRO + i]
         limit = _INTEGRAL_RATE_YAW if i == 2 else _INTEGRAL_RATE_RP
         value = _step(par, mem, modern, ROLL_RATE + i, rate, measured, _ATTITUDE_DT, limit)
-        out[CT_ROLL + i] = _to_int16(value)
+        out[CT_ROLL + i] = to_int16(value, _INT16_MAX)
     out[CT_YAW] = -out[CT_YAW]
 
 

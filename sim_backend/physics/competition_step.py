@@ -98,6 +98,35 @@ def set_pose(body, px, py, pz, roll, pitch, yaw):
 
 
 @kernel
+def advance_pose(body, dt):
+    """Advance position and attitude by ``dt`` s under the row's velocities (dt may be negative).
+
+    The attitude moves by the exponential of the body rates.
+    """
+    for i in range(3):
+        body[B_POS + i] += dt * body[B_VEL + i]
+    wx, wy, wz = body[B_OMEGA], body[B_OMEGA + 1], body[B_OMEGA + 2]
+    half = 0.5 * dt
+    h2 = half * half * (wx * wx + wy * wy + wz * wz)
+    if h2 < 0.01:  # series: exact to double precision below 0.1 rad
+        s = half * (1.0 - h2 / 6.0 * (1.0 - h2 / 20.0 * (1.0 - h2 / 42.0 * (1.0 - h2 / 72.0))))
+        c = 1.0 - h2 / 2.0 * (1.0 - h2 / 12.0 * (1.0 - h2 / 30.0 * (1.0 - h2 / 56.0)))
+    else:
+        h = math.sqrt(h2)
+        s = half * math.sin(h) / h
+        c = math.cos(h)
+    ex, ey, ez = s * wx, s * wy, s * wz
+    x, y, z, w = body[B_QUAT], body[B_QUAT + 1], body[B_QUAT + 2], body[B_QUAT + 3]
+    nx = w * ex + x * c + y * ez - z * ey
+    ny = w * ey + y * c + z * ex - x * ez
+    nz = w * ez + z * c + x * ey - y * ex
+    nw = w * c - x * ex - y * ey - z * ez
+    norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + nw * nw)
+    body[B_QUAT], body[B_QUAT + 1] = nx * norm, ny * norm
+    body[B_QUAT + 2], body[B_QUAT + 3] = nz * norm, nw * norm
+
+
+@kernel
 def step(body, plant, rpm0, rpm1, rpm2, rpm3, dx, dy, dz):
     """Advance ``body`` by :data:`DT` under four rotor speeds (rpm) and a world force d (N).
 
@@ -152,25 +181,5 @@ def step(body, plant, rpm0, rpm1, rpm2, rpm3, dx, dy, dz):
     body[B_VEL] += scale * (thrust * zx + dx)
     body[B_VEL + 1] += scale * (thrust * zy + dy)
     body[B_VEL + 2] += scale * (thrust * zz + dz) - DT * GRAVITY
-    body[B_POS] += DT * body[B_VEL]
-    body[B_POS + 1] += DT * body[B_VEL + 1]
-    body[B_POS + 2] += DT * body[B_VEL + 2]
     body[B_OMEGA], body[B_OMEGA + 1], body[B_OMEGA + 2] = wx, wy, wz
-
-    half = 0.5 * DT
-    h2 = half * half * (wx * wx + wy * wy + wz * wz)
-    if h2 < 0.01:  # series: exact to double precision below 0.1 rad
-        s = half * (1.0 - h2 / 6.0 * (1.0 - h2 / 20.0 * (1.0 - h2 / 42.0 * (1.0 - h2 / 72.0))))
-        c = 1.0 - h2 / 2.0 * (1.0 - h2 / 12.0 * (1.0 - h2 / 30.0 * (1.0 - h2 / 56.0)))
-    else:
-        h = math.sqrt(h2)
-        s = half * math.sin(h) / h
-        c = math.cos(h)
-    ex, ey, ez = s * wx, s * wy, s * wz
-    nx = w * ex + x * c + y * ez - z * ey
-    ny = w * ey + y * c + z * ex - x * ez
-    nz = w * ez + z * c + x * ey - y * ex
-    nw = w * c - x * ex - y * ey - z * ez
-    norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + nw * nw)
-    nx, ny, nz, nw = nx * norm, ny * norm, nz * norm, nw * norm
-    body[B_QUAT], body[B_QUAT + 1], body[B_QUAT + 2], body[B_QUAT + 3] = nx, ny, nz, nw
+    advance_pose(body, DT)

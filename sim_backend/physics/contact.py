@@ -21,6 +21,7 @@ from crazyarena.sim_backend.physics.competition_step import (
     B_VEL,
     P_INERTIA,
     P_MASS,
+    advance_pose,
 )
 from crazyarena.sim_backend.physics.geometry import (
     CONTACT_GAP,
@@ -71,35 +72,6 @@ _MASS = 14  # kg, effective, along the normal and the tangents
 _FLAT = 0.005
 # The vehicle shrunk by this much is used once the whole one overlaps an object.
 _SHRINK = 0.011
-
-
-@kernel
-def advance_pose(body, dt):
-    """Advance position and attitude by ``dt`` s under the row's velocities (dt may be negative).
-
-    The attitude moves by the exponential of the body rates.
-    """
-    for i in range(3):
-        body[B_POS + i] += dt * body[B_VEL + i]
-    wx, wy, wz = body[B_OMEGA], body[B_OMEGA + 1], body[B_OMEGA + 2]
-    half = 0.5 * dt
-    h2 = half * half * (wx * wx + wy * wy + wz * wz)
-    if h2 < 0.01:  # series: exact to double precision below 0.1 rad
-        s = half * (1.0 - h2 / 6.0 * (1.0 - h2 / 20.0 * (1.0 - h2 / 42.0 * (1.0 - h2 / 72.0))))
-        c = 1.0 - h2 / 2.0 * (1.0 - h2 / 12.0 * (1.0 - h2 / 30.0 * (1.0 - h2 / 56.0)))
-    else:
-        h = math.sqrt(h2)
-        s = half * math.sin(h) / h
-        c = math.cos(h)
-    ex, ey, ez = s * wx, s * wy, s * wz
-    x, y, z, w = body[B_QUAT], body[B_QUAT + 1], body[B_QUAT + 2], body[B_QUAT + 3]
-    nx = w * ex + x * c + y * ez - z * ey
-    ny = w * ey + y * c + z * ex - x * ez
-    nz = w * ez + z * c + x * ey - y * ex
-    nw = w * c - x * ex - y * ey - z * ez
-    norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + nw * nw)
-    body[B_QUAT], body[B_QUAT + 1] = nx * norm, ny * norm
-    body[B_QUAT + 2], body[B_QUAT + 3] = nz * norm, nw * norm
 
 
 @kernel

@@ -23,8 +23,8 @@ from crazyarena.sim_backend.physics.competition_step import (
     P_MASS,
     PLANT_SIZE,
     ROTOR_OFFSET,
+    advance_pose,
 )
-from crazyarena.sim_backend.physics.contact import advance_pose
 
 P_GRAVITY = PLANT_SIZE  # m/s2
 P_ROTOR_X = PLANT_SIZE + 1  # m, rotors at (+-x, +-y) in the body frame

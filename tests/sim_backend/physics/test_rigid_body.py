@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from crazyarena.sim_backend.physics import competition_step as c
-from crazyarena.sim_backend.physics import contact
 from crazyarena.sim_backend.physics import rigid_body as rb
 
 rate = st.floats(-30.0, 30.0)
@@ -69,6 +68,6 @@ def test_drag_gives_a_terminal_speed():
 def test_a_pose_step_can_be_taken_back(omega, velocity):
     body = body_at(omega, velocity, (0.3, -0.2, 1.0))
     before = body.copy()
-    contact.advance_pose(body, 0.002)
-    contact.advance_pose(body, -0.002)
+    c.advance_pose(body, 0.002)
+    c.advance_pose(body, -0.002)
     np.testing.assert_allclose(body, before, atol=1e-14)
