@@ -76,3 +76,14 @@ class Telemetry:
     rssi: float | None = None
     supervisor: int | None = None
     state: VehicleState | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleContact:
+    """Two vehicles begin to touch: ``time`` s, their ids (``first`` comes first in the fleet),
+    and the ``speed`` (m/s) at which their closest points approached each other."""
+
+    time: float
+    first: int
+    second: int
+    speed: float

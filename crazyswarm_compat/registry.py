@@ -25,11 +25,13 @@ class SimOptions:
     """What a script may change while a simulation runs.
 
     disturbance: standard deviation of the velocity noise, m/s; max_velocity: clamp on the
-    speed, m/s.
+    speed, m/s. downwash, whether vehicles push down on those below them, is settled when a
+    backend opens.
     """
 
     disturbance: float = 0.0
     max_velocity: float = math.inf
+    downwash: bool = False
 
 
 @dataclass(frozen=True, slots=True)

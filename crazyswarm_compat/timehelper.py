@@ -227,7 +227,9 @@ def make_time_helper(parsed: Any, vis: Any, kind: type[TimeHelper]) -> TimeHelpe
         ):
             if given:
                 warn(f"--{flag} only acts on --backend ideal, not on {parsed.backend}")
-    return kind(
+    elif parsed.downwash:
+        warn("--downwash: perfect tracking knows no forces; it needs --backend sim or pybullet")
+    helper = kind(
         vis,
         parsed.dt,
         parsed.writecsv,
@@ -235,3 +237,5 @@ def make_time_helper(parsed: Any, vis: Any, kind: type[TimeHelper]) -> TimeHelpe
         maxVel=parsed.maxvel,
         videopath=parsed.video,
     )
+    helper.options.downwash = parsed.downwash
+    return helper

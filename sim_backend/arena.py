@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,12 +21,17 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.checks import check
 from crazyarena.errors import BackendError, CommandError
 from crazyarena.sim_backend.arena_kernel import (
+    CONTACT_PAUSE,
     DT,
     NOISE_COLUMNS,
     QUEUE_COLUMNS,
     QUEUE_LENGTH,
+    V_SIZE,
+    X_SIZE,
     advance_fleet,
+    advance_near,
     enqueue,
+    show_truth,
 )
 from crazyarena.sim_backend.crtp.setpoints import compress_quaternion, decode_setpoint
 from crazyarena.sim_backend.firmware import collision_avoidance, high_level, stack_2026
@@ -36,6 +42,7 @@ from crazyarena.sim_backend.firmware.kalman import MEAS_POSE, MEAS_POSITION
 from crazyarena.sim_backend.firmware.parameters import Param, default_row
 from crazyarena.sim_backend.firmware.planner import PIECE_BYTES, TRAJECTORY_MEMORY_SIZE
 from crazyarena.sim_backend.physics import competition_step as cs
+from crazyarena.sim_backend.physics import fleet as neighbours
 from crazyarena.sim_backend.physics import geometry
 from crazyarena.sim_backend.physics.arena_plant import (
     AB_ACCELERATION,
@@ -54,7 +61,7 @@ from crazyarena.sim_backend.physics.scene import (
     ground_code,
 )
 from crazyarena.sim_backend.trace import NO_CONTACT, TRACE_SIZE
-from crazyarena.types import Pose, Telemetry, VehicleState
+from crazyarena.types import Pose, Telemetry, VehicleContact, VehicleState
 
 Array = NDArray[np.float64]
 
@@ -82,6 +89,7 @@ _REST_HEIGHT = VEHICLE_HALF_LENGTH + MARGIN  # m, of the centre above the ground
 _DEG = 180.0 / math.pi
 _INT16 = 32767
 _POLY4D = 0
+_BLOCK = 10  # ticks for which vehicles far from each other run on their own; < CONTACT_PAUSE
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +171,12 @@ class ArenaFleet:
         (n, ticks, 9) standard normals, and not at all without noise.
     auto_arm: False for a firmware that waits for an arming request.
     threads: vehicles are spread over so many threads.
+    downwash: True lets vehicles push down on those below them.
+
+    Attributes
+    ----------
+    contacts: list of :class:`~crazyarena.types.VehicleContact`, the contacts between vehicles
+        so far, each at its beginning; touching again within 0.1 s is the same contact.
     """
 
     def __init__(
@@ -177,6 +191,7 @@ class ArenaFleet:
         rng: np.random.Generator | None = None,
         auto_arm: bool = True,
         threads: int = 1,
+        downwash: bool = False,
     ) -> None:
         places = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
         n = len(places)
@@ -204,7 +219,17 @@ class ArenaFleet:
         self._work = np.array([geometry.make_workspace() for _ in range(n)])
         self._no_noise = np.zeros((n, 0, NOISE_COLUMNS))
         self._no_trace = np.zeros((n, 0, TRACE_SIZE))
+        self._id_row = np.array(self.ids, dtype=np.float64)
         self._heard: list[frozenset[int] | None] = [None] * n
+        self._hears = np.ones((n, n), dtype=np.uint8)
+        self.contacts: list[VehicleContact] = []
+        self._wakes = downwash
+        self._near = np.zeros(n, dtype=np.uint8)
+        self._members = np.zeros(n, dtype=np.int64)
+        self._touched = np.full((n, n), -CONTACT_PAUSE - 1, dtype=np.int64)
+        self._meetings = np.zeros((n * (n - 1) // 2, V_SIZE))
+        self._scratch = np.zeros((n, X_SIZE))
+        self._pair_work = geometry.make_workspace()
         self.set_scene(np.zeros((0, ROW_SIZE)) if scene is None else scene)
         for i in range(n):
             self.place(i, places[i], float(headings[i]))
@@ -254,7 +279,7 @@ class ArenaFleet:
         self.trajectories[vehicle] = 0
         self._peer_tables[vehicle] = 0.0
         self._queues[vehicle] = 0.0
-        self._heard[vehicle] = None
+        self._listen(vehicle, None)
 
     def advance(self, ticks: int, traces: Array | None = None) -> None:
         """Let ``ticks`` milliseconds pass.
@@ -266,7 +291,7 @@ class ArenaFleet:
         if self._rng is not None and self._noise != SensorNoise():
             scale = np.repeat((self._noise.gyro, self._noise.accelerometer, self._noise.force), 3)
             noise = self._rng.standard_normal((n, ticks, NOISE_COLUMNS)) * scale
-        arguments = (
+        world = (
             self.bodies,
             self.plants,
             self.memory,
@@ -281,16 +306,39 @@ class ArenaFleet:
             self._work,
             noise,
             self.time,
-            ticks,
-            self._no_trace if traces is None else traces,
         )
-        if self._pool is None:
-            advance_fleet(0, n, *arguments)
+        rows = self._no_trace if traces is None else traces
+        # Nobody is near a single vehicle, however long the call.
+        longest = _BLOCK if n > 1 else ticks
+        for begin in range(0, ticks, max(longest, 1)):
+            self._advance_block(world, begin, min(begin + longest, ticks), rows)
+        self.tick += ticks
+
+    def _advance_block(self, world: tuple[Any, ...], begin: int, end: int, traces: Array) -> None:
+        n = len(self)
+        count = 0
+        if n > 1:
+            span = (end - begin + 1) * DT
+            count = neighbours.find_near(self.bodies, span, self._wakes, self._near, self._members)
+        alone = (*world, begin, end, traces, self._near)
+        pending: list[Future[None]] = []
+        if count == n:
+            pass
+        elif self._pool is None:
+            advance_fleet(0, n, *alone)
         else:
             edges = [n * k // self._threads for k in range(self._threads + 1)]
-            for _ in self._pool.map(lambda span: advance_fleet(*span, *arguments), pairwise(edges)):
-                pass
-        self.tick += ticks
+            pending = [self._pool.submit(advance_fleet, *span, *alone) for span in pairwise(edges)]
+        if count:
+            met = advance_near(
+                self._members, count, *world, begin, end, traces, self.tick, self._wakes,
+                self._touched, self._meetings, self._scratch, self._pair_work,
+            )  # fmt: skip
+            for tick, first, second, speed in self._meetings[:met].tolist():
+                ids = self.ids[int(first)], self.ids[int(second)]
+                self.contacts.append(VehicleContact(tick * DT, ids[0], ids[1], max(speed, 0.0)))
+        for job in pending:
+            job.result()
 
     # What a vehicle receives
 
@@ -332,6 +380,18 @@ class ArenaFleet:
                 if peer != avoiding:
                     self.peer_position(int(avoiding), self.ids[peer], pose.position)
 
+    def external_truth(self) -> None:
+        """Broadcast everybody's true pose: :meth:`external_poses` of a perfect camera system."""
+        show_truth(
+            self.bodies,
+            self.memory,
+            self._queues,
+            self._peer_tables,
+            self.params[:, _PARAM_INDEX["colAv.enable"]],
+            self._hears,
+            self._id_row,
+        )
+
     def peer_position(self, vehicle: int, peer_id: int, position: ArrayLike) -> None:
         """Let a vehicle hear of a peer's position (3,) m."""
         heard = self._heard[vehicle]
@@ -341,6 +401,10 @@ class ArenaFleet:
         collision_avoidance.note_peer(
             self._peer_tables[vehicle], peer_id, x, y, z, self.memory[vehicle, stack_2026.F_TICK]
         )
+
+    def _listen(self, vehicle: int, peers: frozenset[int] | None) -> None:
+        self._heard[vehicle] = peers
+        self._hears[vehicle] = [peers is None or ident in peers for ident in self.ids]
 
     def setpoint(self, vehicle: int, row: Array, priority: int = setpoints.PRIORITY_CRTP) -> None:
         """Hand over a low-level setpoint row (see :mod:`.firmware.layout`)."""
@@ -593,7 +657,7 @@ class ArenaFleet:
                 self.set_param(vehicle, f"colAv.bboxMax{name}", m.bbox_max[axis])
             self.set_param(vehicle, "colAv.horizon", m.horizon)
             self.set_param(vehicle, "colAv.maxSpeed", m.max_speed)
-            self._heard[vehicle] = None if m.peers is None else frozenset(m.peers)
+            self._listen(vehicle, None if m.peers is None else frozenset(m.peers))
             self._peer_tables[vehicle] = 0.0
         self.set_param(vehicle, "colAv.enable", int(m.enable))
         return 0

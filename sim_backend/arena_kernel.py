@@ -1,14 +1,16 @@
-"""Some milliseconds of one ``arena`` vehicle, compiled: sensors, 2026 firmware, plant, contacts.
+"""Some milliseconds of ``arena`` vehicles, compiled: sensors, 2026 firmware, plant, contacts.
 
 Order inside a 1 ms tick: the inertial sensors sample the plant, the firmware turns that and the
-external poses that have arrived into motor commands, and the plant moves under them.
+external poses that have arrived into motor commands, and the plant moves under them. Vehicles
+that might touch each other take every tick together, the others any number of ticks on their own.
 """
 
 from __future__ import annotations
 
 import math
 
-from crazyarena.sim_backend.firmware.kalman import MEAS_NONE
+from crazyarena.sim_backend.firmware.collision_avoidance import note_peer
+from crazyarena.sim_backend.firmware.kalman import MEAS_NONE, MEAS_POSE
 from crazyarena.sim_backend.firmware.layout import (
     M_QUAT,
     MODE_ABS,
@@ -42,6 +44,7 @@ from crazyarena.sim_backend.physics.arena_plant import (
     is_asleep,
     note_acceleration,
     note_contact,
+    wake_up,
 )
 from crazyarena.sim_backend.physics.competition_step import (
     B_OMEGA,
@@ -49,9 +52,12 @@ from crazyarena.sim_backend.physics.competition_step import (
     B_QUAT,
     B_RPY,
     B_VEL,
+    P_MASS,
     update_rpy,
 )
 from crazyarena.sim_backend.physics.contact import resolve
+from crazyarena.sim_backend.physics.fleet import may_meet, separate, wake_force
+from crazyarena.sim_backend.physics.geometry import CONTACT_GAP
 from crazyarena.sim_backend.trace import (
     TR_ACTION,
     TR_CONTACT,
@@ -82,7 +88,35 @@ N_ACCELEROMETER = 3  # g
 N_FORCE = 6  # N, world, at the centre of mass
 NOISE_COLUMNS = 9
 
+# Columns of the contacts that begin between two vehicles.
+V_TICK, V_FIRST, V_SECOND = 0, 1, 2
+V_SPEED = 3  # m/s, of approach
+V_SIZE = 4
+CONTACT_PAUSE = 100  # ticks apart before touching again counts as another contact
+
+# Columns of what lock step keeps of a vehicle during a tick.
+X_VEL = 0  # m/s, world, before the step
+X_WASH = 3  # N, world z
+X_LIFT = 4  # thrust over weight
+X_MOVED = 5
+X_SIZE = 6
+
 _DEG = 180.0 / math.pi
+
+
+@kernel
+def _append(queue, arrival, kind):
+    """Row for an external pose that arrives at a firmware tick; 0 when the queue is full."""
+    head, count = int(queue[0, Q_HEAD]), int(queue[0, Q_COUNT])
+    if count == QUEUE_LENGTH:
+        return 0
+    if count > 0:
+        arrival = max(arrival, queue[1 + (head + count - 1) % QUEUE_LENGTH, Q_ARRIVAL])
+    row = 1 + (head + count) % QUEUE_LENGTH
+    queue[row, Q_ARRIVAL] = arrival
+    queue[row, Q_KIND] = kind
+    queue[0, Q_COUNT] = count + 1.0
+    return row
 
 
 @kernel
@@ -91,18 +125,40 @@ def enqueue(queue, arrival, kind, pose):
 
     Poses arrive in the order they were sent: one cannot overtake another.
     """
-    head, count = int(queue[0, Q_HEAD]), int(queue[0, Q_COUNT])
-    if count == QUEUE_LENGTH:
+    row = _append(queue, arrival, kind)
+    if row == 0:
         return False
-    if count > 0:
-        arrival = max(arrival, queue[1 + (head + count - 1) % QUEUE_LENGTH, Q_ARRIVAL])
-    row = 1 + (head + count) % QUEUE_LENGTH
-    queue[row, Q_ARRIVAL] = arrival
-    queue[row, Q_KIND] = kind
     for i in range(7):
         queue[row, Q_POSE + i] = pose[i]
-    queue[0, Q_COUNT] = count + 1.0
     return True
+
+
+@kernel
+def show_truth(bodies, memories, queues, peer_tables, avoiding, heard, ids):
+    """What a perfect camera system sends: each vehicle's own pose to its estimator, which it
+    reaches now, and to those that avoid collisions the positions of the others.
+
+    Parameters
+    ----------
+    bodies, memories, queues, peer_tables: as in :func:`advance_fleet`.
+    avoiding: (n,) nonzero where a vehicle avoids collisions.
+    heard: (n, n) nonzero where the vehicle of a row listens to that of a column.
+    ids: (n,).
+    """
+    for i in range(bodies.shape[0]):
+        now = memories[i, F_TICK]
+        row = _append(queues[i], now, MEAS_POSE)
+        if row > 0:
+            for k in range(3):
+                queues[i, row, Q_POSE + k] = bodies[i, B_POS + k]
+            for k in range(4):
+                queues[i, row, Q_POSE + 3 + k] = bodies[i, B_QUAT + k]
+        if avoiding[i] == 0.0:
+            continue
+        for j in range(bodies.shape[0]):
+            if j != i and heard[i, j]:
+                x, y, z = bodies[j, B_POS], bodies[j, B_POS + 1], bodies[j, B_POS + 2]
+                note_peer(peer_tables[i], ids[j], x, y, z, now)
 
 
 @kernel
@@ -146,6 +202,33 @@ def _trace(row, time, body, memory):
 
 
 @kernel
+def _think(memory, param, trajectory, peer_table, peer, face, queue, body, noise, k, fx, fy, fz):
+    """Sensors and firmware of one tick; the disturbance force (N, world) of its noise, added
+    to (fx, fy, fz)."""
+    gx, gy, gz = body[B_OMEGA] * _DEG, body[B_OMEGA + 1] * _DEG, body[B_OMEGA + 2] * _DEG
+    ax = body[AB_ACCELERATION] / GRAVITY
+    ay = body[AB_ACCELERATION + 1] / GRAVITY
+    az = body[AB_ACCELERATION + 2] / GRAVITY
+    if k < noise.shape[0]:
+        gx += noise[k, N_GYRO]
+        gy += noise[k, N_GYRO + 1]
+        gz += noise[k, N_GYRO + 2]
+        ax += noise[k, N_ACCELEROMETER]
+        ay += noise[k, N_ACCELEROMETER + 1]
+        az += noise[k, N_ACCELEROMETER + 2]
+        fx += noise[k, N_FORCE]
+        fy += noise[k, N_FORCE + 1]
+        fz += noise[k, N_FORCE + 2]
+    begin_tick(memory, param, gx, gy, gz, ax, ay, az)
+    kind = _arrived(queue, memory[F_TICK], memory)
+    while kind != MEAS_NONE:
+        measure(memory, param, kind)
+        kind = _arrived(queue, memory[F_TICK], memory)
+    finish_tick(memory, param, trajectory, peer_table, peer, face, body[AB_VOLTS])
+    return fx, fy, fz
+
+
+@kernel
 def advance_fleet(
     first,
     last,
@@ -163,10 +246,12 @@ def advance_fleet(
     works,
     noises,
     time,
-    ticks,
+    begin,
+    end,
     traces,
+    near,
 ):
-    """Run ``ticks`` milliseconds of the vehicles ``first..last-1``.
+    """Run milliseconds ``begin..end-1`` of those vehicles ``first..last-1`` that are not near.
 
     The first axis of every array but ``scene`` is the vehicle. Vehicles do not touch each
     other's rows, so ranges may run in parallel (the interpreter lock is released).
@@ -177,36 +262,21 @@ def advance_fleet(
     memories, params, trajectories, peer_tables, peers, faces: see :mod:`.firmware.stack_2026`.
     queues: (n, QUEUE_LENGTH + 1, QUEUE_COLUMNS), filled by :func:`enqueue`.
     scene, ground, works: see :mod:`.physics.geometry`.
-    noises: (n, >= ticks, NOISE_COLUMNS), or (n, 0, NOISE_COLUMNS) for none.
-    time: s, at the beginning, for the trace.
-    traces: (n, >= ticks, TRACE_SIZE), written; (n, 0, TRACE_SIZE) writes nothing.
+    noises: (n, >= end, NOISE_COLUMNS), or (n, 0, NOISE_COLUMNS) for none.
+    time: s, at millisecond 0, for the trace.
+    traces: (n, >= end, TRACE_SIZE), written; (n, 0, TRACE_SIZE) writes nothing.
+    near: (n,) of :func:`.physics.fleet.find_near`: 1 for what :func:`advance_near` moves.
     """
     for v in range(first, last):
+        if near[v]:
+            continue
         body, plant, memory, param = bodies[v], plants[v], memories[v], params[v]
         queue, noise, trace = queues[v], noises[v], traces[v]
-        for k in range(ticks):
-            gx, gy, gz = body[B_OMEGA] * _DEG, body[B_OMEGA + 1] * _DEG, body[B_OMEGA + 2] * _DEG
-            ax = body[AB_ACCELERATION] / GRAVITY
-            ay = body[AB_ACCELERATION + 1] / GRAVITY
-            az = body[AB_ACCELERATION + 2] / GRAVITY
-            fx, fy, fz = 0.0, 0.0, 0.0
-            if k < noise.shape[0]:
-                gx += noise[k, N_GYRO]
-                gy += noise[k, N_GYRO + 1]
-                gz += noise[k, N_GYRO + 2]
-                ax += noise[k, N_ACCELEROMETER]
-                ay += noise[k, N_ACCELEROMETER + 1]
-                az += noise[k, N_ACCELEROMETER + 2]
-                fx, fy, fz = noise[k, N_FORCE], noise[k, N_FORCE + 1], noise[k, N_FORCE + 2]
-            begin_tick(memory, param, gx, gy, gz, ax, ay, az)
-            kind = _arrived(queue, memory[F_TICK], memory)
-            while kind != MEAS_NONE:
-                measure(memory, param, kind)
-                kind = _arrived(queue, memory[F_TICK], memory)
-            finish_tick(
-                memory, param, trajectories[v], peer_tables[v], peers[v], faces[v], body[AB_VOLTS]
-            )
-
+        for k in range(begin, end):
+            fx, fy, fz = _think(
+                memory, param, trajectories[v], peer_tables[v], peers[v], faces[v], queue, body,
+                noise, k, 0.0, 0.0, 0.0,
+            )  # fmt: skip
             motors = memory[F_MOTORS:F_SUPPLY]
             if not is_asleep(body, motors, fx, fy, fz):
                 vx, vy, vz = body[B_VEL], body[B_VEL + 1], body[B_VEL + 2]
@@ -215,3 +285,116 @@ def advance_fleet(
                 note_acceleration(body, vx, vy, vz, DT)
             if k < trace.shape[0]:
                 _trace(trace[k], time + (k + 1.0) * DT, body, memory)
+
+
+@kernel
+def _wash(bodies, plants, members, count, scratch):
+    """Downwash forces (N, upwards) of the members into ``scratch[:, X_WASH]``."""
+    for a in range(count):
+        i = members[a]
+        lift = 0.0
+        for r in range(4):
+            lift += bodies[i, AB_ROTOR + r] * bodies[i, AB_ROTOR + r]
+        scratch[i, X_LIFT] = lift / (plants[i, P_MASS] * GRAVITY)
+        scratch[i, X_WASH] = 0.0
+    for a in range(count):
+        i = members[a]
+        for b in range(count):
+            j = members[b]
+            scratch[i, X_WASH] -= scratch[j, X_LIFT] * wake_force(bodies, i, j)
+
+
+@kernel
+def _meet(bodies, plants, members, count, tick, touched, meetings, work):
+    """Contacts between members after a step; the number of rows written to ``meetings``."""
+    met = 0
+    for a in range(count):
+        i = members[a]
+        for b in range(a + 1, count):
+            j = members[b]
+            if not may_meet(bodies, i, j, DT):
+                continue
+            gap, speed, pushed = separate(bodies, plants, i, j, DT, work)
+            if gap >= CONTACT_GAP and not pushed:
+                continue
+            if tick - touched[i, j] > CONTACT_PAUSE:
+                row = meetings[met]
+                row[V_TICK], row[V_FIRST], row[V_SECOND], row[V_SPEED] = tick, i, j, speed
+                met += 1
+            touched[i, j] = tick
+    return met
+
+
+@kernel
+def advance_near(
+    members,
+    count,
+    bodies,
+    plants,
+    memories,
+    params,
+    trajectories,
+    peer_tables,
+    peers,
+    faces,
+    queues,
+    scene,
+    ground,
+    works,
+    noises,
+    time,
+    begin,
+    end,
+    traces,
+    tick,
+    wakes,
+    touched,
+    meetings,
+    scratch,
+    work,
+):
+    """Run milliseconds ``begin..end-1`` of the first ``count`` members in lock step.
+
+    Parameters as for :func:`advance_fleet`, and
+
+    members: indices of :func:`.physics.fleet.find_near`.
+    tick: the fleet's, at millisecond 0.
+    wakes: True for downwash between the vehicles.
+    touched: (n, n), above the diagonal the tick of each pair's latest contact; kept up.
+    meetings: (>= n (n - 1) / 2, V_SIZE), receives the contacts that begin. ``end - begin`` must
+        not exceed CONTACT_PAUSE, so that no pair can need two rows.
+    scratch: (n, X_SIZE).
+    work: workspace of no vehicle.
+
+    Returns
+    -------
+    Number of rows in ``meetings``.
+    """
+    met = 0
+    for k in range(begin, end):
+        if wakes:
+            _wash(bodies, plants, members, count, scratch)
+        for a in range(count):
+            v = members[a]
+            body, memory, note = bodies[v], memories[v], scratch[v]
+            fx, fy, fz = _think(
+                memory, params[v], trajectories[v], peer_tables[v], peers[v], faces[v],
+                queues[v], body, noises[v], k, 0.0, 0.0, note[X_WASH],
+            )  # fmt: skip
+            for i in range(3):
+                note[X_VEL + i] = body[B_VEL + i]
+            motors = memory[F_MOTORS:F_SUPPLY]
+            note[X_MOVED] = 0.0
+            if not is_asleep(body, motors, fx, fy, fz):
+                note[X_MOVED] = 1.0
+                arena_step(body, plants[v], motors, fx, fy, fz, DT)
+                note_contact(body, resolve(body, plants[v], scene, ground, DT, works[v]))
+        met += _meet(bodies, plants, members, count, tick + k + 1, touched, meetings[met:], work)
+        for a in range(count):
+            v = members[a]
+            body, note = bodies[v], scratch[v]
+            if wake_up(body) or note[X_MOVED] > 0.0:
+                note_acceleration(body, note[X_VEL], note[X_VEL + 1], note[X_VEL + 2], DT)
+            if k < traces.shape[1]:
+                _trace(traces[v, k], time + (k + 1.0) * DT, body, memories[v])
+    return met

@@ -7,6 +7,7 @@ estimators have settled, as it would in the lab.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -33,40 +34,56 @@ from crazyarena.sim_backend.physics.competition_step import (
     PLANT_SIZE,
 )
 from crazyarena.sim_backend.physics.rigid_body import P_DRAG, arena_plant
-from crazyarena.types import Pose, Telemetry
+from crazyarena.types import Pose, Telemetry, VehicleContact
 
 _POSE_TICKS = 10  # ms between motion-capture frames
 _SETTLE_TICKS = 2000  # ms before a script begins
+_VEHICLES_PER_THREAD = 8  # below that a thread costs more than it brings
 
 
 class ArenaBackend:
-    """A fleet of ``arena`` vehicles on a virtual clock."""
+    """A fleet of ``arena`` vehicles on a virtual clock.
+
+    Parameters
+    ----------
+    make_fleet: builds the vehicles; called like :class:`.arena.ArenaFleet`.
+    downwash: True lets vehicles push down on those below them.
+    """
 
     def __init__(
         self,
         fleet: FleetConfig,
         clock: VirtualClock,
         make_fleet: Callable[..., ArenaFleet] = ArenaFleet,
+        downwash: bool = False,
     ) -> None:
         self._names = {config.id: config.name for config in fleet.vehicles}
         self._index = {config.id: index for index, config in enumerate(fleet.vehicles)}
         self._fleet = make_fleet(
             np.array([config.initial_position for config in fleet.vehicles]),
             ids=[config.id for config in fleet.vehicles],
+            threads=min(os.cpu_count() or 1, len(fleet.vehicles) // _VEHICLES_PER_THREAD),
+            downwash=downwash,
         )
+        self._told = 0
         for index, config in enumerate(fleet.vehicles):
             for name, value in config.firmware_params.items():
                 try:
                     self._fleet.set_param(index, name, value)
                 except BackendError as error:
                     warn(f"{config.name}: firmware_params: {error}")
+        self._start = clock.now() - _SETTLE_TICKS * DT
         self._run(_SETTLE_TICKS)
-        self._start = clock.now() - self._fleet.time
         self._unregister: Callable[[], None] | None = clock.on_advance(self._advance)
 
     @property
     def vehicles(self) -> Sequence[int]:
         return tuple(self._index)
+
+    @property
+    def contacts(self) -> Sequence[VehicleContact]:
+        """Contacts between vehicles so far, in the clock's time."""
+        return [replace(told, time=told.time + self._start) for told in self._fleet.contacts]
 
     def send(self, command: c.Command, vehicle: int | None = None) -> None:
         for index in range(len(self._fleet)) if vehicle is None else (self._at(vehicle),):
@@ -116,19 +133,27 @@ class ArenaBackend:
         end = fleet.tick + ticks
         while fleet.tick < end:
             if fleet.tick % _POSE_TICKS == 0:
-                fleet.external_poses({index: fleet.true_pose(index) for index in range(len(fleet))})
+                fleet.external_truth()
             until_frame = _POSE_TICKS - fleet.tick % _POSE_TICKS
             fleet.advance(min(until_frame, end - fleet.tick))
+        for told in fleet.contacts[self._told :]:
+            warn(
+                f"{self._names[told.first]} and {self._names[told.second]} touched at "
+                f"{told.time + self._start:.2f} s ({told.speed:.1f} m/s)"
+            )
+        self._told = len(fleet.contacts)
 
 
 class PyBulletFleet(ArenaFleet):
     """``arena`` vehicles whose bodies PyBullet moves; rotors and battery stay compiled."""
 
-    def __init__(self, positions: np.ndarray, *, ids: Sequence[int]) -> None:
+    def __init__(
+        self, positions: np.ndarray, *, ids: Sequence[int], threads: int = 1, downwash: bool = False
+    ) -> None:
         from crazyarena.sim_backend.physics.pybullet_engine import PyBulletEngine
 
-        super().__init__(positions, ids=ids)
-        self._engine = PyBulletEngine(_engine_plants(self.plants), dt=DT)
+        super().__init__(positions, ids=ids, threads=threads)
+        self._engine = PyBulletEngine(_engine_plants(self.plants), dt=DT, wakes=downwash)
         self._engine.reset(self.bodies[:, B_POS : B_POS + 3])
 
     def advance(self, ticks: int, traces: np.ndarray | None = None) -> None:
@@ -161,12 +186,12 @@ def _engine_plants(plants: np.ndarray) -> np.ndarray:
 
 def open_arena(fleet: FleetConfig, clock: Clock, options: SimOptions) -> ArenaBackend:
     """Factory of backend ``sim``, named in the registry of backends."""
-    return ArenaBackend(fleet, _virtual(clock, "sim"))
+    return ArenaBackend(fleet, _virtual(clock, "sim"), downwash=options.downwash)
 
 
 def open_pybullet(fleet: FleetConfig, clock: Clock, options: SimOptions) -> ArenaBackend:
     """Factory of backend ``pybullet``, named in the registry of backends."""
-    return ArenaBackend(fleet, _virtual(clock, "pybullet"), PyBulletFleet)
+    return ArenaBackend(fleet, _virtual(clock, "pybullet"), PyBulletFleet, options.downwash)
 
 
 def _virtual(clock: Clock, name: str) -> VirtualClock:

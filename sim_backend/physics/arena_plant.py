@@ -131,15 +131,30 @@ def is_asleep(body, motors, fx, fy, fz):
 def note_contact(body, contact):
     """Remember the contact code of a tick and whether the vehicle lay still in it."""
     body[AB_CONTACT] = contact
-    moving = 0.0
-    for i in range(3):
-        moving = max(moving, abs(body[B_VEL + i]), _REST_ARM * abs(body[B_OMEGA + i]))
+    moving = _motion(body)
     for i in range(4):
         moving = max(moving, body[AB_ROTOR + i])
     if contact != NO_CONTACT and moving < _REST_SPEED:
         body[AB_REST] += 1.0
     else:
         body[AB_REST] = 0.0
+
+
+@kernel
+def _motion(body):
+    moving = 0.0
+    for i in range(3):
+        moving = max(moving, abs(body[B_VEL + i]), _REST_ARM * abs(body[B_OMEGA + i]))
+    return moving
+
+
+@kernel
+def wake_up(body):
+    """End the rest of a vehicle that something has set in motion; True if it did."""
+    if body[AB_REST] == 0.0 or _motion(body) < _REST_SPEED:
+        return False
+    body[AB_REST] = 0.0
+    return True
 
 
 @kernel

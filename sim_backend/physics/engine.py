@@ -24,7 +24,13 @@ from crazyarena.sim_backend.physics.competition_step import (
 from crazyarena.sim_backend.physics.contact import resolve
 from crazyarena.sim_backend.physics.fleet import downwash, vehicle_contacts
 from crazyarena.sim_backend.physics.geometry import NO_CONTACT, forget, make_workspace
-from crazyarena.sim_backend.physics.rigid_body import FULL_PLANT_SIZE, P_INERTIA, P_MASS, step
+from crazyarena.sim_backend.physics.rigid_body import (
+    FULL_PLANT_SIZE,
+    P_GRAVITY,
+    P_INERTIA,
+    P_MASS,
+    step,
+)
 from crazyarena.sim_backend.physics.scene import build_scene, ground_code
 
 
@@ -108,6 +114,11 @@ def fill_bodies(
         bodies[:, B_OMEGA : B_OMEGA + 3] = rates
 
 
+def lifts(plants: NDArray[np.float64], rotors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) thrust over weight of vehicles with rotor forces (n, 4) N."""
+    return rotors.sum(axis=1) / (plants[:, P_MASS] * plants[:, P_GRAVITY])
+
+
 @kernel
 def step_fleet(bodies, plants, rotor_forces, forces, scene, ground, dt, works, contacts):
     """One free-flight and contact step of every vehicle; rows of all arrays are vehicles."""
@@ -180,7 +191,7 @@ class NativeEngine:
         )
         self._forces[:] = 0.0 if forces is None else forces
         if self._wakes:
-            downwash(self.bodies, self._forces)
+            downwash(self.bodies, lifts(self.plants, rotors), self._forces)
         step_fleet(
             self.bodies,
             self.plants,

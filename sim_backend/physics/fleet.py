@@ -39,6 +39,11 @@ PROPELLER_RADIUS = 0.0231348  # m
 # The fit has a pole at zero distance and a wake of no width at 0.69 m: it was made further away.
 DOWNWASH_NEAREST = 0.5  # m
 DOWNWASH_NARROWEST = 0.05  # m
+WAKE_EDGE = 6.0  # in standard deviations: there is nothing beyond
+
+# Change of velocity, m/s, that a vehicle stays below within some hundredths of a second: its own
+# thrust makes 0.2 in 10 ms, and no contact leaves it faster than it came by more than this.
+SURGE = 10.0
 
 
 @kernel
@@ -71,8 +76,15 @@ def _arm(work, row, px, py, pz, nx, ny, nz):
 
 
 @kernel
-def _separate(bodies, plants, i, j, dt, work):
-    """Push two vehicles apart if they are about to meet; True when they touch."""
+def separate(bodies, plants, i, j, dt, work):
+    """Push two vehicles apart if they would meet within ``dt`` s; without friction, inelastic.
+
+    Returns
+    -------
+    gap: m, between their surfaces; below CONTACT_GAP they touch.
+    speed: m/s, at which their closest points approached each other before the push.
+    pushed: True when it was needed.
+    """
     _place(work, W_VEHICLE, bodies, i)
     _place(work, W_OTHER, bodies, j)
     d, nx, ny, nz, px, py, pz = distance(work, W_VEHICLE, work, W_OTHER, work, W_SIMPLEX)
@@ -100,7 +112,8 @@ def _separate(bodies, plants, i, j, dt, work):
         - bodies[j, B_OMEGA + 2] * bz
     )
     allowed = -gap / dt if gap > 0.0 else -CORRECTION * gap / dt
-    if approach < allowed:
+    pushed = approach < allowed
+    if pushed:
         compliance = 1.0 / plants[i, P_MASS] + 1.0 / plants[j, P_MASS]
         compliance += ax * ax / plants[i, P_INERTIA] + bx * bx / plants[j, P_INERTIA]
         compliance += ay * ay / plants[i, P_INERTIA + 1] + by * by / plants[j, P_INERTIA + 1]
@@ -118,7 +131,23 @@ def _separate(bodies, plants, i, j, dt, work):
         bodies[j, B_OMEGA] -= push * bx / plants[j, P_INERTIA]
         bodies[j, B_OMEGA + 1] -= push * by / plants[j, P_INERTIA + 1]
         bodies[j, B_OMEGA + 2] -= push * bz / plants[j, P_INERTIA + 2]
-    return gap < CONTACT_GAP
+    return gap, -approach, pushed
+
+
+@kernel
+def may_meet(bodies, i, j, dt):
+    """False for two vehicles that cannot touch within ``dt`` s at their present velocities."""
+    dx = bodies[i, B_POS] - bodies[j, B_POS]
+    dy = bodies[i, B_POS + 1] - bodies[j, B_POS + 1]
+    dz = bodies[i, B_POS + 2] - bodies[j, B_POS + 2]
+    reach = 2.0 * VEHICLE_REACH + CONTACT_GAP + dt * (_speed(bodies, i) + _speed(bodies, j))
+    return dx * dx + dy * dy + dz * dz < reach * reach
+
+
+@kernel
+def _speed(bodies, i):
+    """At least the speed of a vehicle, m/s."""
+    return abs(bodies[i, B_VEL]) + abs(bodies[i, B_VEL + 1]) + abs(bodies[i, B_VEL + 2])
 
 
 @kernel
@@ -143,20 +172,11 @@ def vehicle_contacts(bodies, plants, dt, partner, work):
         partner[i] = -1
     pairs = 0
     for i in range(n):
-        speed = abs(bodies[i, B_VEL]) + abs(bodies[i, B_VEL + 1]) + abs(bodies[i, B_VEL + 2])
         for j in range(i + 1, n):
-            dx = bodies[i, B_POS] - bodies[j, B_POS]
-            reach = 2.0 * VEHICLE_REACH + CONTACT_GAP + dt * speed
-            if abs(dx) > reach + 0.5:
+            if not may_meet(bodies, i, j, dt):
                 continue
-            reach += dt * (
-                abs(bodies[j, B_VEL]) + abs(bodies[j, B_VEL + 1]) + abs(bodies[j, B_VEL + 2])
-            )
-            dy = bodies[i, B_POS + 1] - bodies[j, B_POS + 1]
-            dz = bodies[i, B_POS + 2] - bodies[j, B_POS + 2]
-            if dx * dx + dy * dy + dz * dz < reach * reach and _separate(
-                bodies, plants, i, j, dt, work
-            ):
+            gap, _, _ = separate(bodies, plants, i, j, dt, work)
+            if gap < CONTACT_GAP:
                 pairs += 1
                 if partner[i] < 0:
                     partner[i] = j
@@ -166,23 +186,81 @@ def vehicle_contacts(bodies, plants, dt, partner, work):
 
 
 @kernel
-def downwash(bodies, forces):
-    """Add to ``forces`` (n, 3) (N, world) what the wakes of higher vehicles push down with.
+def wake_width(below):
+    """Standard deviation (m) of a wake ``below`` m under its vehicle."""
+    return max(DOWNWASH_SLOPE * below + DOWNWASH_OFFSET, DOWNWASH_NARROWEST)
+
+
+@kernel
+def wake_force(bodies, i, j):
+    """What the wake of vehicle ``j``, hovering, pushes vehicle ``i`` down with, N.
 
     A Gaussian wake whose strength falls with the square of the distance below; held at its value
     at DOWNWASH_NEAREST closer in, where the fit does not reach.
     """
+    below = bodies[j, B_POS + 2] - bodies[i, B_POS + 2]
+    if below <= 0.0:
+        return 0.0
+    dx = bodies[j, B_POS] - bodies[i, B_POS]
+    dy = bodies[j, B_POS + 1] - bodies[i, B_POS + 1]
+    width = wake_width(below)
+    spread = (dx * dx + dy * dy) / (width * width)
+    if spread > WAKE_EDGE * WAKE_EDGE:
+        return 0.0
+    ratio = PROPELLER_RADIUS / (4.0 * max(below, DOWNWASH_NEAREST))
+    return DOWNWASH_GAIN * ratio * ratio * math.exp(-0.5 * spread)
+
+
+@kernel
+def downwash(bodies, lifts, forces):
+    """Add to ``forces`` (n, 3) (N, world) what the wakes of higher vehicles push down with.
+
+    lifts: (n,) thrust of each vehicle over its weight; its wake is that much stronger.
+    """
     n = bodies.shape[0]
     for i in range(n):
         for j in range(n):
-            below = bodies[j, B_POS + 2] - bodies[i, B_POS + 2]
-            if below <= 0.0:
-                continue
-            dx = bodies[j, B_POS] - bodies[i, B_POS]
-            dy = bodies[j, B_POS + 1] - bodies[i, B_POS + 1]
-            width = max(DOWNWASH_SLOPE * below + DOWNWASH_OFFSET, DOWNWASH_NARROWEST)
-            spread = (dx * dx + dy * dy) / (width * width)
-            if spread > 36.0:
-                continue
-            ratio = PROPELLER_RADIUS / (4.0 * max(below, DOWNWASH_NEAREST))
-            forces[i, 2] -= DOWNWASH_GAIN * ratio * ratio * math.exp(-0.5 * spread)
+            forces[i, 2] -= lifts[j] * wake_force(bodies, i, j)
+
+
+@kernel
+def find_near(bodies, span, wakes, near, members):
+    """Tell the vehicles that others might act on during the next ``span`` s from the rest.
+
+    The rest can be moved through that time on their own, with the same result. Nothing may
+    change a vehicle's velocity by more than SURGE meanwhile.
+
+    Parameters
+    ----------
+    wakes: True if downwash counts, not only contact.
+    near: (n,) receives 1 for such vehicles, else 0.
+    members: (n,) their indices, ascending.
+
+    Returns
+    -------
+    Number of members.
+    """
+    n = bodies.shape[0]
+    for i in range(n):
+        near[i] = 0
+    for i in range(n):
+        speed = _speed(bodies, i)
+        for j in range(i + 1, n):
+            travel = span * (speed + _speed(bodies, j) + 2.0 * SURGE)
+            dx = bodies[i, B_POS] - bodies[j, B_POS]
+            dy = bodies[i, B_POS + 1] - bodies[j, B_POS + 1]
+            dz = abs(bodies[i, B_POS + 2] - bodies[j, B_POS + 2])
+            beside = dx * dx + dy * dy
+            reach = 2.0 * VEHICLE_REACH + CONTACT_GAP + travel
+            close = beside + dz * dz < reach * reach
+            if wakes and not close:
+                edge = WAKE_EDGE * wake_width(dz + travel) + travel
+                close = beside < edge * edge
+            if close:
+                near[i], near[j] = 1, 1
+    count = 0
+    for i in range(n):
+        if near[i]:
+            members[count] = i
+            count += 1
+    return count

@@ -25,7 +25,7 @@ from crazyarena.sim_backend.physics.competition_step import (
     P_INERTIA,
     P_MASS,
 )
-from crazyarena.sim_backend.physics.engine import check_plants, fill_bodies
+from crazyarena.sim_backend.physics.engine import check_plants, fill_bodies, lifts
 from crazyarena.sim_backend.physics.fleet import downwash
 from crazyarena.sim_backend.physics.geometry import NO_CONTACT
 from crazyarena.sim_backend.physics.rigid_body import (
@@ -218,7 +218,7 @@ class PyBulletEngine:
         others = np.zeros((n, 3))
         others[:] = 0.0 if forces is None else forces
         if self._wakes:
-            downwash(self.bodies, others)
+            downwash(self.bodies, lifts(self.plants, rotors), others)
         for i in range(n):
             self._push(i, rotors[i], others[i])
         self._bullet.stepSimulation(**self._at)

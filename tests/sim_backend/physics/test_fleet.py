@@ -57,9 +57,10 @@ def test_every_close_pair_of_a_large_fleet_is_found():
 
 
 def test_downwash_falls_off_below_and_beside():
-    def push(below, beside):
+    def push(below, beside, lift=1.0):
         forces = np.zeros((2, 3))
-        fleet.downwash(row_of([[0, 0, 2], [beside, 0, 2 - below]]), forces)
+        lifts = np.array([lift, 1.0])
+        fleet.downwash(row_of([[0, 0, 2], [beside, 0, 2 - below]]), lifts, forces)
         assert not forces[0].any()
         assert not forces[1, :2].any()
         return -forces[1, 2]
@@ -68,5 +69,7 @@ def test_downwash_falls_off_below_and_beside():
     assert push(1.0, 0.0) > push(1.5, 0.0) > push(3.0, 0.0) > 0.0
     assert push(1.0, 0.0) > push(1.0, 0.05) > push(1.0, 0.1)
     assert push(1.0, 0.6) == 0.0
+    assert push(1.0, 0.0, lift=1.5) == 1.5 * push(1.0, 0.0)
+    assert push(1.0, 0.0, lift=0.0) == 0.0
     assert push(0.1, 0.0) == push(0.5, 0.0)  # the fit's pole is cut off
     assert push(0.6875, 0.0) == pytest.approx(push(0.6874, 0.0), rel=1e-3)  # and its wakeless gap
