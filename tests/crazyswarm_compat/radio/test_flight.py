@@ -73,6 +73,7 @@ def script(swarm):
     return np.array(path)
 
 
+@pytest.mark.slow
 def test_the_same_script_flies_the_same_path_in_simulation_and_over_the_radio(world):
     simulated = script(Crazyswarm(YAML, args="--backend sim --vis null --dt 0.001"))
     hangar, backend = world()
@@ -117,6 +118,7 @@ class TestHandOver:
         assert hangar.position(1)[2] < 0.05
         assert not hangar.info() & LOCKED
 
+    @pytest.mark.slow
     def test_a_stream_that_ends_on_the_ground_leaves_the_vehicle_unlocked(self, world):
         hangar, backend = world()
         backend.prepare()
@@ -265,6 +267,7 @@ class TestKilledGround:
         eventually(lambda: hangar.info() & LOCKED, 2.0)
         assert 1.7 < time.monotonic() - died < 2.6
 
+    @pytest.mark.slow
     def test_without_watchdog_the_high_level_commander_flies_on(self, ground):
         """Why the watchdog is worth arming."""
         hangar, _ = ground("high level")
