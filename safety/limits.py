@@ -100,7 +100,7 @@ class Limits:
     blind_descent: float = 0.8
     setpoint_speed: float = 3.0
     setpoint_acceleration: float = 12.0
-    setpoint_step: float = 0.1
+    setpoint_step: float = 0.25
     setpoint_lead: float = 0.6
     setpoint_tilt: float = 0.6
     allow_attitude: bool = False

@@ -220,7 +220,7 @@ def test_rate_of_change_is_bounded():
     rig.send(full((0, 0, 1)))
     rig.wait(1 / 30)
     sent = rig.send(full((2, 0, 1)))
-    assert sent.position[0] == pytest.approx(0.1 + 3.0 / 30)
+    assert sent.position[0] == pytest.approx(0.25 + 3.0 / 30)
 
 
 def test_velocity_towards_a_wall_is_slowed():

@@ -1,0 +1,173 @@
+"""Does the safety leave good flights alone?
+
+Flies the example racer through level 0 to 3 with new random draws in every episode, in the
+competition's world, behind the command gate and under the watchdog: its commands pass the gate,
+and simulated cameras (100 Hz, noise, dropouts, latency) show its flight to the estimator and the
+watchdog, which watches without taking over so that every alarm of a flight is counted.
+
+    python benchmarks/false_alarms.py --episodes 200
+
+An intervention is any wish of the watchdog to take over, and any command the gate changed or
+refused. Warnings are counted apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from crazyarena.clock import VirtualClock
+from crazyarena.levels import load_level
+from crazyarena.levels.schema import Level
+from crazyarena.mocap.camera_model import CameraModel
+from crazyarena.mocap.estimator import PoseEstimator
+from crazyarena.mocap.pipeline import PosePipeline
+from crazyarena.mocap.sim_source import SimSource
+from crazyarena.runner.contestant import Submission
+from crazyarena.runner.dry_run import example_racer
+from crazyarena.runner.trial import Trial
+from crazyarena.safety.events import Action, SafetyEvent
+from crazyarena.safety.fence import Fence
+from crazyarena.safety.gate import CommandGate
+from crazyarena.safety.watchdog import Watchdog
+from crazyarena.sim_backend.competition import CompetitionWorld
+from crazyarena.sim_backend.trace import TR_POS, TR_QUAT, TR_TIME
+from crazyarena.types import Pose
+
+_LEAD = 1.0  # s of frames before the take-off
+_STEP = 0.005  # s, between looks of the watchdog
+
+
+class WatchedWorld:
+    """A competition world whose flight is also seen by cameras, estimator and watchdog."""
+
+    def __init__(self, level: Level, seed: int) -> None:
+        self._world = CompetitionWorld(level.control_frequency)
+        self.clock = self._world.clock
+        self._fence = Fence.from_level(level)
+        self._seed = np.random.SeedSequence(seed)
+        self._session = VirtualClock()
+        self.events: list[SafetyEvent] = []
+        self.frames = 0
+
+    def reset(self, draw: Any) -> None:
+        self._world.reset(draw)
+        # A session of its own for every episode: the ladder is one-way.
+        self._session = VirtualClock()
+        self._rows = np.empty((0, 2))
+        x, _, y, _, z, _, roll, pitch, yaw = draw.start[:9]
+        self._pose = Pose(np.array([x, y, z]), _quaternion(roll, pitch, yaw))
+        rng = np.random.default_rng(self._seed.spawn(1)[0])
+        self._cameras = SimSource(self._session, None, CameraModel(rate=100.0), rng)
+        self._gate = CommandGate(
+            self._world,
+            self._fence,
+            self._session,
+            state=lambda vehicle: self._pipeline.estimate("cf").state,
+            on_event=self.events.append,
+        )
+        self._pipeline = PosePipeline(
+            self._cameras,
+            PoseEstimator(["cf"]),
+            self._session,
+            on_frame=[lambda frame, result: self._watchdog.on_frame(frame, result)],
+        )
+        self._watchdog = Watchdog(
+            self._gate,
+            self._fence,
+            self._session,
+            {"cf": self._world.vehicles[0]},
+            self._pipeline.estimate,
+            grounds={self._world.vehicles[0]: float(z)},
+            flies=False,
+            on_event=self.events.append,
+        )
+        for k in range(round(_LEAD / _STEP)):
+            self._look((k + 1) * _STEP)
+
+    def send(self, command: Any) -> None:
+        vehicle = self._world.vehicles[0]
+        self._gate.runner.send(command, vehicle)
+        self._watchdog.controller_answered(vehicle)
+
+    def poll(self) -> Any:
+        rows = self._world.poll()
+        for row in rows:
+            self._pose = Pose(row[TR_POS : TR_POS + 3].copy(), row[TR_QUAT : TR_QUAT + 4].copy())
+            self._look(_LEAD + float(row[TR_TIME]))
+        return rows
+
+    def _look(self, now: float) -> None:
+        self._session.sleep_until(now)
+        while self._cameras.next_exposure <= now:
+            self._cameras.expose(self._cameras.next_exposure, {"cf": self._pose})
+        if self._pipeline.poll():
+            self.frames += 1
+            self._watchdog.step()
+
+    def motor_forces(self) -> Any:
+        return self._world.motor_forces()
+
+    def close(self) -> None:
+        self._world.close()
+
+
+def _quaternion(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    (cr, cp, cy), (sr, sp, sy) = (
+        np.cos([roll / 2, pitch / 2, yaw / 2]),
+        np.sin([roll / 2, pitch / 2, yaw / 2]),
+    )
+    return np.array(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ]
+    )
+
+
+def fly(level_name: str, episodes: int, seed: int) -> tuple[int, int, list[SafetyEvent]]:
+    """Completed episodes, frames looked at, and every event."""
+    level = load_level(level_name, ["reseed_on_reset=false"])
+    world = WatchedWorld(level, seed)
+    with (
+        tempfile.TemporaryDirectory() as work,
+        Submission(example_racer(), Path(work)) as submission,
+    ):
+        result = Trial(level, submission, world, episodes=episodes, seed=seed).run()
+    world.close()
+    completed = sum(episode.completed for episode in result.episodes)
+    return completed, world.frames, world.events
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--episodes", type=int, default=200, help="over all four levels")
+    parser.add_argument("--seed", type=int, default=2022)
+    options = parser.parse_args()
+    share = options.episodes // 4
+    interventions = 0
+    for index, name in enumerate(("level0", "level1", "level2", "level3")):
+        completed, frames, events = fly(name, share, options.seed + index)
+        alarms = [e for e in events if e.severity >= Action.HOLD or e.rule.startswith("gate_")]
+        warnings = collections.Counter(e.rule for e in events if e not in alarms)
+        interventions += len(alarms)
+        print(
+            f"{name}: {share} episodes, {completed} completed, {frames} frames, "
+            f"{len(alarms)} interventions, warnings {dict(warnings)}",
+            flush=True,
+        )
+        for event in alarms[:5]:
+            print(f"  {event}")
+    print(f"{4 * share} episodes: {interventions} interventions")
+    raise SystemExit(interventions > 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""``crazyarena arena-check``: is the fence of a level sound, and what does it look like?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from crazyarena.runner.cli.common import bad_input_exits
+
+
+def register(app: typer.Typer) -> None:
+    app.command("arena-check")(arena_check)
+
+
+def arena_check(
+    level: Annotated[str, typer.Argument(help="Shipped level, or a level file.")] = "level0",
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="FIELD=VALUE", help="Override a field of the level."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="PNG to draw to.")] = Path("arena.png"),
+    height: Annotated[float, typer.Option(help="m, of the cut seen from above.")] = 1.0,
+) -> None:
+    """Check a level's fence and keep-out zones, and draw them.
+
+    Exit code 2 when they contradict each other or the level.
+    """
+    with bad_input_exits():
+        from crazyarena.errors import InputError
+        from crazyarena.levels import load_level
+        from crazyarena.runner.arena_figure import save_arena
+        from crazyarena.safety.fence import Fence
+
+        chosen = load_level(level, set_ or ())
+        fence = Fence.from_level(chosen)
+        low, high = fence.bounds
+        typer.echo(f"{chosen.name}: hard fence {list(low)} .. {list(high)} m")
+        typer.echo(f"soft margin {fence.soft_margin:g} m, {len(fence.zones)} keep-out zones")
+        for name, place in (("start", chosen.start.position), ("goal", chosen.goal.position)):
+            x, y, z = place
+            typer.echo(
+                f"{name}: {fence.clearance(x, y, z):.2f} m inside the fence, "
+                f"{fence.zone_distance(x, y, z):.2f} m from the nearest zone"
+            )
+        for index, gate in enumerate(chosen.track.gates):
+            room = fence.room(*gate.centre)
+            if room < 0.0:
+                typer.echo(f"gate {index}: its centre has no room ({room:.2f} m)")
+        try:
+            save_arena(out, chosen, fence, height)
+        except OSError as error:
+            raise InputError(f"--out {out}: cannot write: {error.strerror}") from None
+        typer.echo(f"Drawn to {out}")

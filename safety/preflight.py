@@ -1,0 +1,384 @@
+"""The checklist before a flight: each line green or red, red ones with a remedy.
+
+Checks are functions of a :class:`Preflight` that gathers what they need; what cannot be known
+is red, not green. A red line grounds the flight unless it is waived by name, and the waiver
+stays in the record.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from crazyarena.clock import Clock, WallClock
+from crazyarena.errors import InputError
+from crazyarena.levels import Level
+from crazyarena.mocap.estimator import BodyEstimate, Freshness
+from crazyarena.safety.estop import EmergencyStop
+from crazyarena.safety.fence import Fence
+from crazyarena.safety.monitors import CAN_FLY, CRASHED, LOCKED, TUMBLED
+from crazyarena.types import Pose, Telemetry
+
+_CAN_ARM, _ARMED = 1 << 0, 1 << 1
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line of the checklist.
+
+    ``found`` says what was measured, ``remedy`` what to do about a red line.
+    """
+
+    name: str
+    ok: bool
+    found: str
+    remedy: str = ""
+    waived: bool = False
+
+    @property
+    def grounds(self) -> bool:
+        """Whether this line keeps the vehicle on the ground."""
+        return not self.ok and not self.waived
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """What is still green. SI units.
+
+    Attributes
+    ----------
+    battery: V, at rest.
+    position, yaw: between the cameras and the vehicle's own estimate, m and rad.
+    spread: m, of the vehicle's estimate over the last samples.
+    height: m, of a standing vehicle over the level's start.
+    gate_position, gate_yaw: between a surveyed gate and the level, beyond its random range.
+    disk: bytes free. timer: s, latest wake-up of a short sleep.
+    test_age: s, since the emergency stop was last tried.
+    """
+
+    battery: float = 3.9
+    position: float = 0.05
+    yaw: float = math.radians(10.0)
+    spread: float = 0.01
+    height: float = 0.05
+    gate_position: float = 0.1
+    gate_yaw: float = 0.15
+    disk: int = 500_000_000
+    timer: float = 0.002
+    test_age: float = 3600.0
+
+
+@dataclass(slots=True)
+class VehicleFacts:
+    """What is known of one vehicle; None is unknown.
+
+    Attributes
+    ----------
+    own: the vehicle's position estimates of the last seconds, newest last.
+    controller: parameter ``stabilizer.controller``.
+    tipped: the body that was tipped when this vehicle was, see :func:`tipped_body`.
+    """
+
+    name: str
+    body: str
+    telemetry: Telemetry | None = None
+    seen: BodyEstimate | None = None
+    own: Sequence[np.ndarray] = ()
+    controller: int | None = None
+    tipped: str | None = None
+
+
+@dataclass(slots=True)
+class Preflight:
+    """Everything the checklist looks at.
+
+    Attributes
+    ----------
+    gates: surveyed poses of the gates by index; empty if they were not surveyed.
+    bodies: all bodies the cameras see; known: names that belong there.
+    controller: what ``stabilizer.controller`` must be (2 Mellinger, 1 PID).
+    out: folder recordings go to.
+    """
+
+    level: Level
+    vehicles: Sequence[VehicleFacts]
+    gates: Mapping[int, Pose] = field(default_factory=dict)
+    bodies: Sequence[str] = ()
+    known: Sequence[str] = ()
+    controller: int = 2
+    estop: EmergencyStop | None = None
+    out: Path = Path(".")
+    clock: Clock = field(default_factory=WallClock)
+    tolerances: Tolerances = field(default_factory=Tolerances)
+
+    def run(self, waive: Iterable[str] = ()) -> list[Line]:
+        """All lines, in order.
+
+        Raises
+        ------
+        InputError: a waiver for a line that does not exist.
+        """
+        lines = [line for check in MACHINE_CHECKS for line in check(self)]
+        for vehicle in self.vehicles:
+            lines += [line for check in VEHICLE_CHECKS for line in check(self, vehicle)]
+        waived = set(waive)
+        unknown = waived - {line.name for line in lines}
+        if unknown:
+            raise InputError(
+                f"cannot waive {', '.join(sorted(unknown))}: no such line; there are "
+                f"{', '.join(line.name for line in lines)}"
+            )
+        return [
+            Line(line.name, line.ok, line.found, line.remedy, True)
+            if line.name in waived and not line.ok
+            else line
+            for line in lines
+        ]
+
+
+def may_fly(lines: Iterable[Line]) -> bool:
+    """No line is red without a waiver."""
+    return not any(line.grounds for line in lines)
+
+
+# The machine and the arena
+
+
+def _fence(p: Preflight) -> list[Line]:
+    try:
+        Fence.from_level(p.level)
+    except InputError as error:
+        return [Line("fence", False, str(error), "correct arena in the level file")]
+    return [Line("fence", True, f"{p.level.name}: {p.level.arena.low} .. {p.level.arena.high}")]
+
+
+def _named(p: Preflight) -> list[Line]:
+    names = ", ".join(vehicle.name for vehicle in p.vehicles)
+    return [
+        Line("vehicles", bool(names), names or "none named", "name them: --uri cf1=radio://...")
+    ]
+
+
+def _gates(p: Preflight) -> list[Line]:
+    wanted = p.level.track.gates
+    missing = [index for index in range(len(wanted)) if index not in p.gates]
+    remedy = "survey the gates, or correct their poses in the level file"
+    if missing:
+        return [Line("gates", False, f"gates {missing} not surveyed", remedy)]
+    spread = p.level.randomization.gates_and_obstacles
+    room = max((abs(v) for v in spread.gates), default=0.0) if spread is not None else 0.0
+    t = p.tolerances
+    bad = []
+    for index, gate in enumerate(wanted):
+        pose = p.gates[index]
+        x, y, _ = pose.position.tolist()
+        off = math.hypot(x - gate.x, y - gate.y)
+        # A gate turned by half a turn is the same gate.
+        turn = abs(math.remainder(_yaw(pose.quaternion) - gate.yaw, math.pi))
+        if off > t.gate_position + math.sqrt(2.0) * room or turn > t.gate_yaw + room:
+            bad.append(f"gate {index} is {off:.2f} m and {math.degrees(turn):.0f} deg off")
+    return [Line("gates", not bad, "; ".join(bad) or f"{len(wanted)} surveyed", remedy)]
+
+
+def _strangers(p: Preflight) -> list[Line]:
+    vehicles = [vehicle.body for vehicle in p.vehicles]
+    unknown = sorted(set(p.bodies) - set(p.known) - set(vehicles))
+    found = ", ".join(unknown) if unknown else f"{len(p.bodies)} bodies, all known"
+    return [Line("arena clear", not unknown, found, "take them out of the arena, or name them")]
+
+
+def _disk(p: Preflight) -> list[Line]:
+    folder = p.out
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    free = shutil.disk_usage(folder).free
+    found = f"{free / 1e9:.1f} GB free for recordings"
+    return [Line("disk", free >= p.tolerances.disk, found, f"make room on {folder.resolve()}")]
+
+
+def _governor(p: Preflight, root: Path = Path("/sys/devices/system/cpu")) -> list[Line]:
+    governors = {f.read_text().strip() for f in root.glob("cpu*/cpufreq/scaling_governor")}
+    slow = governors - {"performance"}
+    found = ", ".join(sorted(governors)) or "not scaled by this system"
+    return [Line("cpu governor", not slow, found, "sudo cpupower frequency-set -g performance")]
+
+
+def _timer(p: Preflight) -> list[Line]:
+    late = []
+    for _ in range(50):
+        late.append(p.clock.sleep_until(p.clock.now() + 0.002))
+    worst = max(late)
+    return [
+        Line(
+            "timer",
+            worst <= p.tolerances.timer,
+            f"short sleeps end up to {worst * 1e3:.2f} ms late",
+            "close other programs; allow real-time scheduling (ulimit -r)",
+        )
+    ]
+
+
+def _real_time(p: Preflight) -> list[Line]:
+    allowed = os.geteuid() == 0
+    try:
+        import resource
+
+        allowed = allowed or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] != 0
+    except (ImportError, AttributeError, OSError, ValueError):
+        pass
+    return [
+        Line(
+            "real-time scheduling",
+            allowed,
+            "allowed" if allowed else "not allowed",
+            "add 'rtprio 60' for your user to /etc/security/limits.conf",
+        )
+    ]
+
+
+def _estop(p: Preflight) -> list[Line]:
+    remedy = "crazyarena estop --test, or press the button, while this checklist runs"
+    if p.estop is None:
+        return [Line("e-stop tested", False, "no emergency stop in this session", remedy)]
+    tested = p.estop.last_test
+    if tested is None:
+        return [Line("e-stop tested", False, "not tried in this session", remedy)]
+    age = p.clock.now() - tested
+    found = f"{age:.0f} s ago"
+    return [Line("e-stop tested", age <= p.tolerances.test_age, found, remedy)]
+
+
+# Each vehicle
+
+
+def _connected(p: Preflight, v: VehicleFacts) -> list[Line]:
+    t = v.telemetry
+    age = math.inf if t is None else p.clock.now() - t.timestamp
+    found = f"heard {age:.1f} s ago" if math.isfinite(age) else "never heard"
+    return [Line(f"{v.name} connected", age <= 1.0, found, "switch it on; check URI and channel")]
+
+
+def _state(p: Preflight, v: VehicleFacts) -> list[Line]:
+    bits = None if v.telemetry is None else v.telemetry.supervisor
+    name = f"{v.name} state"
+    if bits is None:
+        return [Line(name, False, "unknown", "wait for telemetry; update the firmware")]
+    wrong = [
+        word
+        for bit, word in ((TUMBLED, "tumbled"), (LOCKED, "locked"), (CRASHED, "crashed"))
+        if bits & bit
+    ]
+    if wrong:
+        return [Line(name, False, ", ".join(wrong), "put it upright and restart it")]
+    ready = bool(bits & (_ARMED | _CAN_ARM | CAN_FLY))
+    found = "armed" if bits & _ARMED else "can be armed" if ready else "can neither arm nor fly"
+    return [Line(name, ready, found, "restart it, standing still and level")]
+
+
+def _battery(p: Preflight, v: VehicleFacts) -> list[Line]:
+    volts = None if v.telemetry is None else v.telemetry.battery
+    found = "unknown" if volts is None else f"{volts:.2f} V"
+    ok = volts is not None and volts >= p.tolerances.battery
+    remedy = f"charge or change it: {p.tolerances.battery:g} V or more at rest"
+    return [Line(f"{v.name} battery", ok, found, remedy)]
+
+
+def _estimate(p: Preflight, v: VehicleFacts) -> list[Line]:
+    t = p.tolerances
+    names = (f"{v.name} estimator", f"{v.name} agrees with cameras")
+    if len(v.own) < 2:
+        remedy = "wait for telemetry of the vehicle's estimate"
+        return [Line(name, False, "unknown", remedy) for name in names]
+    samples = np.array(v.own)
+    spread = float(np.ptp(samples, axis=0).max())
+    lines = [
+        Line(
+            names[0],
+            spread <= t.spread,
+            f"wanders by {spread * 1e3:.0f} mm",
+            "reset the estimator (kalman.resetEstimation); check that poses arrive",
+        )
+    ]
+    state = None if v.telemetry is None else v.telemetry.state
+    remedy = "check the body's orientation and name, and the world frame of the cameras"
+    if v.seen is None or v.seen.freshness is not Freshness.FRESH or state is None:
+        return [*lines, Line(names[1], False, "cameras do not see it now", remedy)]
+    off = float(np.linalg.norm(state.position - v.seen.state.position))
+    turn = abs(math.remainder(_yaw(state.quaternion) - _yaw(v.seen.state.quaternion), math.tau))
+    found = f"{off * 1e3:.0f} mm, {math.degrees(turn):.1f} deg apart"
+    return [*lines, Line(names[1], off <= t.position and turn <= t.yaw, found, remedy)]
+
+
+def _controller(p: Preflight, v: VehicleFacts) -> list[Line]:
+    found = "unknown" if v.controller is None else str(v.controller)
+    remedy = f"set stabilizer.controller to {p.controller}"
+    return [Line(f"{v.name} controller", v.controller == p.controller, found, remedy)]
+
+
+def _body(p: Preflight, v: VehicleFacts) -> list[Line]:
+    found = "not tried" if v.tipped is None else f"body {v.tipped} was tipped with it"
+    remedy = "preflight --tip, and tip it by hand; else exchange names or markers"
+    return [Line(f"{v.name} is body {v.body}", v.tipped == v.body, found, remedy)]
+
+
+def _start(p: Preflight, v: VehicleFacts) -> list[Line]:
+    name = f"{v.name} at start"
+    remedy = "put it on the start position"
+    if v.seen is None or v.seen.freshness not in (Freshness.FRESH, Freshness.BRIDGED):
+        return [Line(name, False, "cameras do not see it", remedy)]
+    x, y, z = v.seen.state.position.tolist()
+    sx, sy, sz = p.level.start.position
+    off = math.hypot(x - sx, y - sy)
+    ok = off <= p.level.start.tolerance and abs(z - sz) <= p.tolerances.height
+    return [Line(name, ok, f"{off:.2f} m off, {z - sz:+.2f} m in height", remedy)]
+
+
+MACHINE_CHECKS: tuple[Callable[[Preflight], list[Line]], ...] = (
+    _named,
+    _fence,
+    _gates,
+    _strangers,
+    _disk,
+    _governor,
+    _timer,
+    _real_time,
+    _estop,
+)
+VEHICLE_CHECKS: tuple[Callable[[Preflight, VehicleFacts], list[Line]], ...] = (
+    _connected,
+    _state,
+    _battery,
+    _estimate,
+    _controller,
+    _body,
+    _start,
+)
+
+
+def tipped_body(bodies: Mapping[str, Pose], own: np.ndarray, least: float = 0.2) -> str | None:
+    """The one body that is tipped as a vehicle feels it is, while it is tipped by hand.
+
+    ``own`` is the vehicle's own attitude (x, y, z, w); None until it is tipped by ``least`` rad,
+    and when no body, or more than one, has that tilt within half of ``least``.
+    """
+    felt = _tilt(own)
+    if felt < least:
+        return None
+    alike = [k for k, pose in bodies.items() if abs(_tilt(pose.quaternion) - felt) < 0.5 * least]
+    return alike[0] if len(alike) == 1 else None
+
+
+def _tilt(q: np.ndarray) -> float:
+    x, y, _, _ = q.tolist()
+    return math.acos(min(max(1.0 - 2.0 * (x * x + y * y), -1.0), 1.0))
+
+
+def _yaw(q: np.ndarray) -> float:
+    x, y, z, w = q.tolist()
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -1,0 +1,190 @@
+"""Every line of the checklist turns red for its own reason, and only by name is it waived."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crazyarena.clock import VirtualClock
+from crazyarena.errors import InputError
+from crazyarena.levels import load_level
+from crazyarena.mocap.estimator import BodyEstimate, Freshness
+from crazyarena.safety import preflight as pf
+from crazyarena.safety.estop import EmergencyStop
+from crazyarena.types import Pose, Telemetry, VehicleState
+
+LEVEL = load_level("sim2real")
+START = np.array(LEVEL.start.position)
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+READY = 1 << 0 | 1 << 1 | 1 << 3
+
+
+def turned(yaw: float = 0.0, roll: float = 0.0) -> np.ndarray:
+    if roll:
+        return np.array([math.sin(roll / 2), 0.0, 0.0, math.cos(roll / 2)])
+    return np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)])
+
+
+def state(position=START, quaternion=UPRIGHT) -> VehicleState:
+    return VehicleState(10.0, np.array(position), np.zeros(3), quaternion, np.zeros(3))
+
+
+def seen(freshness=Freshness.FRESH, **kwargs) -> BodyEstimate:
+    return BodyEstimate("cf1", state(**kwargs), freshness, 0.01)
+
+
+def ready() -> pf.Preflight:
+    clock = VirtualClock()
+    clock.sleep_until(10.0)
+    estop = EmergencyStop([], clock)
+    estop.tested()
+    telemetry = Telemetry(9.9, 4.1, 1.0, -40.0, READY, state())
+    vehicle = pf.VehicleFacts("cf1", "cf1", telemetry, seen(), [START] * 20, 2, "cf1")
+    gates = {
+        i: Pose(np.array(gate.centre), turned(gate.yaw)) for i, gate in enumerate(LEVEL.track.gates)
+    }
+    return pf.Preflight(
+        LEVEL, [vehicle], gates, ["cf1", "gate0"], ["gate0"], estop=estop, clock=clock
+    )
+
+
+def red(p: pf.Preflight) -> list[str]:
+    machine = {"cpu governor", "real-time scheduling", "timer"}
+    return [line.name for line in p.run() if not line.ok and line.name not in machine]
+
+
+def vehicle(p: pf.Preflight, **changes) -> pf.Preflight:
+    p.vehicles = [replace(p.vehicles[0], **changes)]
+    return p
+
+
+def telemetry(p: pf.Preflight, **changes) -> pf.Preflight:
+    return vehicle(p, telemetry=replace(p.vehicles[0].telemetry, **changes))
+
+
+def test_everything_in_order_is_green():
+    assert red(ready()) == []
+
+
+@pytest.mark.parametrize(
+    ("spoil", "line"),
+    [
+        (lambda p: telemetry(p, timestamp=5.0), "cf1 connected"),
+        (lambda p: telemetry(p, supervisor=None), "cf1 state"),
+        (lambda p: telemetry(p, supervisor=READY | 1 << 5), "cf1 state"),
+        (lambda p: telemetry(p, supervisor=READY | 1 << 6), "cf1 state"),
+        (lambda p: telemetry(p, supervisor=0), "cf1 state"),
+        (lambda p: telemetry(p, battery=3.7), "cf1 battery"),
+        (lambda p: telemetry(p, battery=None), "cf1 battery"),
+        (lambda p: vehicle(p, own=[START, START + 0.05]), "cf1 estimator"),
+        (lambda p: telemetry(p, state=state(START + 0.1)), "cf1 agrees with cameras"),
+        (
+            lambda p: telemetry(p, state=state(quaternion=turned(0.3))),
+            "cf1 agrees with cameras",
+        ),
+        (lambda p: vehicle(p, controller=1), "cf1 controller"),
+        (lambda p: vehicle(p, controller=None), "cf1 controller"),
+        (lambda p: vehicle(p, tipped=None), "cf1 is body cf1"),
+        (lambda p: vehicle(p, tipped="cf2"), "cf1 is body cf1"),
+    ],
+)
+def test_one_line_turns_red(spoil, line):
+    assert red(spoil(ready())) == [line]
+
+
+def test_away_from_the_start_or_unseen():
+    away = START + np.array([0.2, 0.0, 0.0])
+    p = telemetry(ready(), state=state(away))
+    assert red(vehicle(p, seen=seen(position=away))) == ["cf1 at start"]
+    high = START + np.array([0.0, 0.0, 0.1])
+    p = telemetry(ready(), state=state(high))
+    assert red(vehicle(p, seen=seen(position=high))) == ["cf1 at start"]
+    lost = vehicle(ready(), seen=seen(Freshness.STALE))
+    assert red(lost) == ["cf1 agrees with cameras", "cf1 at start"]
+
+
+def test_gates_strangers_disk_estop_and_no_vehicle():
+    p = ready()
+    del p.gates[2]
+    assert red(p) == ["gates"]
+    p = ready()
+    p.gates[1] = Pose(p.gates[1].position + np.array([1.0, 0.0, 0.0]), p.gates[1].quaternion)
+    assert red(p) == ["gates"]
+    p = ready()
+    p.gates[1] = Pose(p.gates[1].position, turned(LEVEL.track.gates[1].yaw + 0.8))
+    assert red(p) == ["gates"]
+    p = ready()
+    p.gates[1] = Pose(p.gates[1].position, turned(LEVEL.track.gates[1].yaw + math.pi))
+    assert red(p) == []
+    p = ready()
+    p.bodies = ["cf1", "gate0", "person"]
+    assert red(p) == ["arena clear"]
+    p = ready()
+    p.tolerances = pf.Tolerances(disk=1 << 70)
+    assert red(p) == ["disk"]
+    p = ready()
+    p.estop = EmergencyStop([], p.clock)
+    assert red(p) == ["e-stop tested"]
+    p = ready()
+    p.estop.last_test = -5000.0
+    assert red(p) == ["e-stop tested"]
+    p = ready()
+    p.vehicles, p.bodies = [], []
+    assert red(p) == ["vehicles"]
+
+
+def test_contradictory_fence_is_a_red_line():
+    p = ready()
+    zone = "{name: x, shape: {kind: box, low: [-2, -3, 0], high: [0, -2, 1]}}"
+    p.level = load_level("sim2real", [f"arena.keep_out=[{zone}]"])
+    assert red(p) == ["fence"]
+
+
+def test_red_lines_ground_unless_waived_by_name():
+    p = telemetry(ready(), battery=3.7)
+    p.tolerances = replace(p.tolerances, timer=math.inf)
+    assert not pf.may_fly(p.run())
+    lines = p.run(["cf1 battery", "cpu governor", "real-time scheduling"])
+    assert pf.may_fly(lines)
+    (battery,) = [line for line in lines if line.name == "cf1 battery"]
+    assert battery.waived
+    assert not battery.ok
+    assert battery.remedy
+    with pytest.raises(InputError, match="cf9 battery"):
+        p.run(["cf9 battery"])
+
+
+def test_a_green_line_is_not_marked_as_waived():
+    (line,) = [one for one in ready().run(["disk"]) if one.name == "disk"]
+    assert line.ok
+    assert not line.waived
+
+
+def test_slow_governor_and_late_timer(tmp_path: Path):
+    folder = tmp_path / "cpu0" / "cpufreq"
+    folder.mkdir(parents=True)
+    (folder / "scaling_governor").write_text("powersave\n")
+    (line,) = pf._governor(ready(), tmp_path)
+    assert not line.ok
+
+    class LateClock(VirtualClock):
+        def sleep_until(self, deadline: float) -> float:
+            super().sleep_until(deadline)
+            return 0.01
+
+    p = ready()
+    p.clock = LateClock()
+    (line,) = pf._timer(p)
+    assert not line.ok
+
+
+def test_tipping_names_the_body():
+    bodies = {"cf1": Pose(START, turned(roll=0.5)), "cf2": Pose(START + 1, UPRIGHT)}
+    assert pf.tipped_body(bodies, turned(roll=0.45)) == "cf1"
+    assert pf.tipped_body(bodies, UPRIGHT) is None
+    bodies["cf2"] = Pose(START, turned(roll=0.5))
+    assert pf.tipped_body(bodies, turned(roll=0.45)) is None
