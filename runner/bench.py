@@ -46,7 +46,7 @@ class Bench:
     Parameters
     ----------
     out: results folder; ``bench_<i>`` and ``dry_<i>`` are made in it.
-    runs: how many of each; run i uses the seed plus i.
+    runs: how many of each, all on the same draw of the level; measurement noise differs.
     dry: fly the dry runs and compare.
     """
 
@@ -85,7 +85,7 @@ class Bench:
         """Fly everything."""
         result = BenchResult()
         for index in range(self._runs):
-            seed = self._seed + index
+            seed = self._seed
             folder = self._out / f"bench_{index:02d}"
             folder.mkdir(parents=True, exist_ok=True)
             result.flown.append(self._fly(folder, seed, result))
@@ -95,6 +95,7 @@ class Bench:
                     self._level,
                     seed=seed,
                     out=self._out / f"dry_{index:02d}",
+                    noise_seed=seed + index,
                     **self._common,
                 )
                 result.dry.append(dry.run())

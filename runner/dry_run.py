@@ -93,7 +93,10 @@ class _Display:
 
 
 class DryRun:
-    """One call of the command; arguments as there."""
+    """One call of the command; arguments as there.
+
+    noise_seed: of the rig's measurement noise; that of the level's draws by default.
+    """
 
     def __init__(
         self,
@@ -107,10 +110,12 @@ class DryRun:
         figure: bool = True,
         console: Console | None = None,
         options: FlightOptions | None = None,
+        noise_seed: int | None = None,
     ) -> None:
         self._level = load_level(level, overrides)
         self._options = options or FlightOptions()
         self._options.check()
+        self._noise_seed = noise_seed
         self._seed = self._level.seed if seed is None else seed
         path = example_racer() if submission is None else submission
         entry_file(path.expanduser())  # a wrong path must not leave a results folder behind
@@ -130,6 +135,10 @@ class DryRun:
         self.out = _results_folder(self._wanted_out, self._path, level)
         if jit.is_cold():
             console.print("Compiling the simulator; only the first run waits for this (< 1 min).")
+            if level.profile is Profile.COMPETITION:
+                from crazyarena.runner.warm_up import compile_competition
+
+                compile_competition()
         try:
             with contextlib.ExitStack() as stack:
                 stack.callback(world.close)
@@ -157,7 +166,8 @@ class DryRun:
         return result
 
     def _make_world(self) -> World:
-        return make_world(self._level, self._seed, self._limits())
+        seed = self._seed if self._noise_seed is None else self._noise_seed
+        return make_world(self._level, seed, self._limits())
 
     def _limits(self) -> Limits:
         """Of the watchdog."""

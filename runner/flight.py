@@ -170,18 +170,21 @@ class FlightTrial:
                 self._make(obs, start)
             elif self._crew is not None:
                 obs = observation(start)
-            if self._crew is not None:
-                self._crew.launch()
         except Aborted as error:
             return self._aborted(index, referee, error), obs
         recorder = self._recorder(index, draw, track, start)
         self._injection.begin(track, self._level, recorder)
         try:
             with contextlib.ExitStack() as quiet:
+                # Before the motors turn: both take long enough to be missed in the air.
                 quiet.enter_context(quiet_collector())
                 if self._steady:
                     self.in_force = quiet.enter_context(steady())
+                if self._crew is not None:
+                    self._crew.launch()
                 result, obs = self._run(index, referee, obs, interrupt, recorder)
+        except Aborted as error:
+            return self._aborted(index, referee, error), obs
         finally:
             if recorder is not None:
                 self._finish(recorder)

@@ -10,7 +10,7 @@ from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level
 from crazyarena.mocap.source import PoseSource
-from crazyarena.runner.rig import Rig, make_pipeline
+from crazyarena.runner.rig import EXTERNAL_POSE_RATE, Rig, make_pipeline
 from crazyarena.runner.safeguard import Safeguard
 from crazyarena.safety.limits import Limits
 
@@ -45,6 +45,8 @@ def connected(
     InputError: the link or the source is described wrongly.
     """
     from crazyarena.crazyswarm_compat.radio.backend import RadioBackend
+    from crazyarena.crazyswarm_compat.radio.options import RadioOptions
+    from crazyarena.crazyswarm_compat.radio.outbox import OutboxOptions
 
     body = body or f"cf{vehicle}"
     clock = WallClock()
@@ -53,7 +55,9 @@ def connected(
     with ExitStack() as undo:
         source = open_source(clock)
         undo.callback(source.close)
-        backend = RadioBackend(FleetConfig((config,), "command line"), clock)
+        # The forwarder limits the rate; a second limit behind it would only make poses older.
+        options = RadioOptions(outbox=OutboxOptions(extpose_rate=2.0 * EXTERNAL_POSE_RATE))
+        backend = RadioBackend(FleetConfig((config,), "command line"), clock, options)
         undo.callback(backend.close)
         safeguard = Safeguard(
             level, backend, clock, vehicle, body, limits=limits, feed=backend.arm_watchdog

@@ -29,7 +29,7 @@ def bench(
         Path | None, typer.Argument(help="As for dry-run. Default: the example racer.")
     ] = None,
     level: Annotated[str, typer.Option(help="Arena level, or a level file.")] = "sim2real",
-    runs: Annotated[int, typer.Option(min=1, max=100, help="Run i uses seed + i.")] = 1,
+    runs: Annotated[int, typer.Option(min=1, max=100, help="How many, on the same draw.")] = 1,
     seed: Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")] = None,
     out: Annotated[Path | None, typer.Option(help="Results folder.")] = None,
     set_: Annotated[

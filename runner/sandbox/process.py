@@ -117,7 +117,7 @@ class Sandboxed:
         if isinstance(message, wire.Text) and message.kind == wire.FAILED:
             if message.number == self._step:
                 self._step = None
-                return Answer(message.number, None, message.text, seconds)
+                return Answer(message.number, None, self._named(message.text), seconds)
         elif isinstance(message, Answer) and message.step == self._step:
             self._step = None
             message.seconds = seconds
@@ -130,6 +130,10 @@ class Sandboxed:
         try:
             self._send("hook", name)
             message = self._receive(self._limits.hook_timeout)
+            if self._step is not None and not isinstance(message, int | None):
+                # The run ended before its last question was answered.
+                self._step = None
+                message = self._receive(self._limits.hook_timeout)
         except (_Dead, wire.ChannelError) as error:
             return time.perf_counter() - started, f"{name}: {error}{self._last_words()}"
         seconds = time.perf_counter() - started
@@ -139,7 +143,7 @@ class Sandboxed:
         if not isinstance(message, wire.Text) or message.kind != wire.HOOKED:
             self.kill()
             return seconds, f"{name}: its process sent something else"
-        return seconds, message.text or None
+        return seconds, self._named(message.text) or None
 
     def close(self) -> None:
         """Kill the process with all it started and delete its files; idempotent."""
@@ -263,9 +267,12 @@ class Sandboxed:
         if message is None:
             raise InputError(f"{self._shown}: {what} did not return within {timeout:g} s")
         if isinstance(message, wire.Text) and message.kind == wire.FAILED:
-            text = message.text.replace(str(self._box.submission), str(self.path))
-            raise InputError(text)
+            raise InputError(self._named(message.text))
         raise InputError(f"{self._shown}: {what}: its process sent something else")
+
+    def _named(self, text: str) -> str:
+        """Tracebacks with the submission's own path instead of the copy's."""
+        return text.replace(str(self._box.submission), str(self.path))
 
     def _send(self, verb: str, payload: object) -> None:
         assert self._channel is not None

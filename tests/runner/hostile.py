@@ -1,0 +1,124 @@
+"""Submissions that mean harm. Each is a body of ``cmdFirmware`` (or of the constructor).
+
+``{secret}`` is a file beside the results that holds what the contestant must not learn,
+``{outside}`` a folder it must not write to, ``{port}`` a TCP port of the runner's machine.
+An attack that gets through writes BREACH to its output.
+"""
+
+IMPORTS = """\
+import ctypes, gc, os, pickle, resource, signal, socket, struct, sys
+import time as clock
+import numpy as np
+"""
+
+# Those that must end their own trial: name -> (code, words in the reason).
+FATAL = {
+    "raise": ("raise RuntimeError('told you')", "told you"),
+    "sys_exit": ("sys.exit(3)", "SystemExit"),
+    "os_exit": ("os._exit(3)", "exit code 3"),
+    "segfault": ("ctypes.string_at(0)", "SIGSEGV"),
+    "abort": ("os.abort()", "SIGABRT"),
+    "kill_itself": ("os.kill(os.getpid(), signal.SIGKILL)\n        clock.sleep(5)", ""),
+    "base_exception": ("raise BaseException('no Exception')", "no Exception"),
+    "keyboard_interrupt": ("raise KeyboardInterrupt", ""),
+    "generator_exit": ("raise GeneratorExit", "GeneratorExit"),
+    "recursion": ("f = lambda g: g(g)\n        f(f)", "Recursion"),
+    "c_stack": (
+        "ctypes.memset(ctypes.addressof(ctypes.c_char.from_buffer(bytearray(1))), 0, 1 << 40)",
+        "SIG",
+    ),
+    "infinite_loop": ("while True:\n            pass", "no command for"),
+    "sleep": ("clock.sleep(1000)", "no command for"),
+    "ignore_signals": (
+        "[signal.signal(n, signal.SIG_IGN) for n in (1, 2, 15)]\n        while True:\n"
+        "            pass",
+        "no command for",
+    ),
+    "memory_bomb": (
+        "hog = []\n        while True:\n            hog.append(np.ones(1 << 24))",
+        "",  # whichever comes first: no memory, or no time
+    ),
+    "close_every_file": ("os.closerange(0, 256)\n        return Command.NONE, []", ""),
+    "close_channel": (
+        "os.close(int(sys.argv[1]))\n        return Command.NONE, []",
+        "",
+    ),
+    "garbage": (
+        "os.write(int(sys.argv[1]), b'garbage')\n        return Command.NONE, []",
+        "garbage",
+    ),
+    "huge_packet": (
+        "os.write(int(sys.argv[1]), b'A' * 100000)\n        return Command.NONE, []",
+        "garbage",
+    ),
+    "evil_pickle": (
+        "class Evil:\n            def __reduce__(self):\n"
+        "                return (os.system, ('touch {outside}/pickled',))\n"
+        "        os.write(int(sys.argv[1]), pickle.dumps(Evil()))\n        return Command.NONE, []",
+        "garbage",
+    ),
+    "forged_answer": (
+        "os.write(int(sys.argv[1]), struct.pack('<cqbdd13d', b'A', 999, 0, 0.0, 0.0, *[0.0] * 13))"
+        "\n        return Command.NONE, []",
+        "not asked for",
+    ),
+    "flood_channel": (
+        "for _ in range(10000):\n            os.write(int(sys.argv[1]), b'x' * 1000)",
+        "",
+    ),
+    "gigabyte_of_output": (
+        "chunk = 'x' * (1 << 20)\n        for _ in range(1024):\n            print(chunk)",
+        "File too large",
+    ),
+    "wrong_type": ("return 'take off', 3", "expected"),
+    "not_finite": (
+        "return Command.FULLSTATE, [[float('nan')] * 3, [0] * 3, [0] * 3, 0, [0] * 3]",
+        "finite",
+    ),
+    "numbers_that_lie": (
+        "class Liar(float):\n            def __float__(self):\n"
+        "                return float('inf')\n"
+        "        return Command.TAKEOFF, [Liar(1.0), 1.0]",
+        "finite",
+    ),
+    "bad_repr": (
+        "class Bad:\n            def __repr__(self):\n                os._exit(9)\n"
+        "        return Bad(), []",
+        "exit code 9",
+    ),
+}
+
+# Those that are denied what they want: name -> code that must raise; the trial goes on.
+DENIED = {
+    "read_secret": "open('{secret}').read()",
+    "list_results": "os.listdir('{outside}')",
+    "write_outside": "open('{outside}/mine', 'w').write('x')",
+    "delete_outside": "os.unlink('{secret}')",
+    "link_to_secret": "os.symlink('{secret}', 'link'); open('link').read()",
+    "hard_link": "os.link('{secret}', 'link')",
+    "tcp_out": "socket.create_connection(('127.0.0.1', {port}), 1).close()",
+    "udp_out": "socket.socket(socket.AF_INET, socket.SOCK_DGRAM)",
+    "unix_socket": "socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)",
+    "raw_socket": "socket.socket(socket.AF_PACKET, socket.SOCK_RAW)",
+    "listen": "socket.create_server(('127.0.0.1', 0)).close()",
+    "kill_parent": "os.kill({runner}, signal.SIGTERM)",
+    "read_parent_memory": "open('/proc/{runner}/mem', 'rb')",
+    "read_parent_arguments": "open('/proc/{runner}/cmdline').read()",
+    "ptrace": "assert ctypes.CDLL(None).ptrace(16, {runner}, 0, 0) == 0",
+    "truth_in_memory": """
+from crazyarena.sim_backend.arena_world import SimulatedArena
+assert any(isinstance(o, SimulatedArena) for o in gc.get_objects())
+""",
+    "seed_in_memory": """
+from crazyarena.levels.schema import Level
+assert any(isinstance(o, Level) and o.seed for o in gc.get_objects())
+""",
+    "raise_limits": "resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY,) * 2)",
+    "real_time_priority": "os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(99))",
+    "become_root": "os.seteuid(0); os.setuid(0); open('/etc/crazyarena-was-here', 'w')",
+    "mount": "assert ctypes.CDLL(None).mount(b'none', b'/tmp', b'tmpfs', 0, None) == 0",
+    "new_namespace": "assert ctypes.CDLL(None).unshare(0x10000000) == 0",
+    "outlive_the_runner": "assert ctypes.CDLL(None).prctl(1, 0, 0, 0, 0) == 0",
+    "open_device": "open('/dev/mem', 'rb')",
+    "write_package": "import crazyarena; open(crazyarena.__file__, 'a')",
+}
