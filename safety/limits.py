@@ -22,6 +22,9 @@ class Limits:
         rather than following a plan.
     reaction: time, s, until a command to brake has become deceleration: cameras, radio, and
         the attitude the vehicle has to take first.
+    predicted_margin: m beyond the hard fence up to which the predicted end of a stop is let
+        pass: the prediction brakes later and more gently than the watchdog does, and a goal close
+        to the fence is approached with little to spare.
     outer_margin: m beyond the hard fence at which motors are cut (the second fence).
     max_speed: m/s, of the vehicle; the gate lets setpoints ask for ``setpoint_speed``.
     max_tilt, tumble_tilt: rad.
@@ -57,6 +60,7 @@ class Limits:
 
     braking: float = 6.0
     reaction: float = 0.15
+    predicted_margin: float = 0.05
     outer_margin: float = 0.5
     max_speed: float = 3.5
     speed_time: float = 0.1

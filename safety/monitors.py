@@ -227,7 +227,12 @@ RULES: tuple[Rule, ...] = (
         _fence,
         lambda n: (Stage(0.0, 0.0, HOLD), Stage(n.outer_margin, 0.0, CUT)),
     ),
-    Rule("fence_predicted", When.AIRBORNE, _fence_predicted, lambda n: (Stage(0.0, 0.0, HOLD),)),
+    Rule(
+        "fence_predicted",
+        When.AIRBORNE,
+        _fence_predicted,
+        lambda n: (Stage(n.predicted_margin, 0.0, HOLD),),
+    ),
     Rule("keep_out", When.AIRBORNE, _keep_out, lambda n: (Stage(0.0, 0.0, HOLD),)),
     Rule(
         "keep_out_predicted",

@@ -24,7 +24,7 @@ CASES: list[tuple[str, Action, dict[str, Any], dict[str, Any], float]] = [
     (
         "fence_predicted",
         HOLD,
-        {"position": (2.4, 0, 1), "velocity": (2.0, 0, 0)},
+        {"position": (2.45, 0, 1), "velocity": (2.0, 0, 0)},
         {"position": (2.4, 0, 1), "velocity": (1.8, 0, 0)},
         0.0,
     ),
