@@ -55,8 +55,10 @@ class _Checker:
             self.fail(argument, value, "three numbers")
         if array.shape != (3,):
             self.fail(argument, value, "three numbers")
-        if finite and not np.isfinite(array).all():
-            self.fail(argument, array.tolist(), "three finite numbers")
+        # Streamed setpoints pass here, so no array functions on three numbers.
+        x, y, z = found = array.tolist()
+        if finite and not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+            self.fail(argument, found, "three finite numbers")
 
     def byte(self, argument: str, value: Any) -> None:
         try:

@@ -88,6 +88,7 @@ _INTEGER = {
 _REST_HEIGHT = VEHICLE_HALF_LENGTH + MARGIN  # m, of the centre above the ground
 _DEG = 180.0 / math.pi
 _INT16 = 32767
+_FULL_STATE = struct.Struct("<B9hI3h")
 _POLY4D = 0
 _BLOCK = 10  # ticks for which vehicles far from each other run on their own; < CONTACT_PAUSE
 
@@ -562,11 +563,10 @@ class ArenaFleet:
 
     def _full_state(self, vehicle: int, m: c.FullState) -> int:
         yaw = 0.5 * float(m.yaw)
-        linear = np.concatenate([np.asarray(v, float) for v in (m.position, m.velocity)])
-        milli = [_milli(value) for value in (*linear, *np.asarray(m.acceleration, float))]
+        vectors = (m.position, m.velocity, m.acceleration, m.omega)
+        milli = [_milli(float(value)) for vector in vectors for value in vector]
         quaternion = compress_quaternion((0.0, 0.0, math.sin(yaw), math.cos(yaw)))
-        rates = [_milli(value) for value in np.asarray(m.omega, float)]
-        return self._packet(vehicle, struct.pack("<BhhhhhhhhhIhhh", 6, *milli, quaternion, *rates))
+        return self._packet(vehicle, _FULL_STATE.pack(6, *milli[:9], quaternion, *milli[9:]))
 
     def _position(self, vehicle: int, m: c.Position) -> int:
         position = np.asarray(m.position, dtype=np.float64)
