@@ -223,6 +223,19 @@ def test_rate_of_change_is_bounded():
     assert sent.position[0] == pytest.approx(0.25 + 3.0 / 30)
 
 
+def test_a_bare_position_is_held_inside_and_near_the_vehicle():
+    rig = Rig(where=(2.8, 0.0, 1.0))
+    assert rig.send(c.Position((3.2, 0.0, 1.0))).position[0] == pytest.approx(2.95, abs=0.01)
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    assert rig.send(c.Position((2.5, 0.0, 1.0))).position == pytest.approx((0.6, 0.0, 1.0))
+
+
+def test_a_landing_takes_the_time_it_needs_and_ends_below_the_ceiling():
+    rig = Rig(where=(0.0, 0.0, 1.8))
+    assert 35 / 16 * 1.78 / rig.send(c.Land(0.02, 0.1)).duration <= 3.0 + 0.1
+    assert rig.send(c.Land(5.0, 5.0)).height == pytest.approx(1.95)
+
+
 def test_velocity_towards_a_wall_is_slowed():
     rig = Rig(where=(2.5, 0.0, 1.0))
     sent = rig.send(c.VelocityWorld((2.0, 0.0, 0.0)))

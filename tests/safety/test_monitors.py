@@ -181,8 +181,8 @@ def test_a_single_bad_measurement_needs_its_persistence():
 
 
 def test_one_who_brakes_is_not_taken_for_one_who_runs_away():
-    # 1.2 m/s towards a wall 0.3 m away: too fast, unless the attitude says it is braking.
-    fast = {"position": (2.7, 0.0, 1.0), "velocity": (1.2, 0.0, 0.0)}
+    # 1.5 m/s towards a wall 0.3 m away: too fast, unless the attitude says it is braking.
+    fast = {"position": (2.7, 0.0, 1.0), "velocity": (1.5, 0.0, 0.0)}
     assert "fence_predicted" in {e.rule for e in run(new_guard(), lasting(0.02, **fast))}
     backwards = (0.0, -math.sin(0.25), 0.0, math.cos(0.25))  # 0.5 rad nose up: 5.4 m/s2
     assert run(new_guard(), lasting(0.02, quaternion=backwards, **fast)) == []
