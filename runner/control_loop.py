@@ -149,15 +149,22 @@ class ControlLoop:
                 return INTERRUPTED
             if self._is_stopped():
                 return SAFETY
+            applied = False
             if pending is not None:
                 answer = waiter.wait(world.clock.now())
                 if answer is not None:
                     pending = None
+                    applied = True
                     self._late += 1
                     self._note("late command", step, f"asked at step {answer.step}")
                     end = self._take(answer, step, time)
                     if end is not None:
                         return end
+                else:
+                    try:
+                        self._fill_in(period)
+                    except CommandError as error:
+                        return self._refused(error, step)
             if pending is None:
                 pending = step
                 self._contender.ask(Question(step, time, self._obs, reward, done, info, learn))
@@ -166,13 +173,14 @@ class ControlLoop:
                 answer = waiter.wait(scheduler.deadline(step + 1))
                 if answer is not None:
                     pending = None
+                    applied = True
                     end = self._take(answer, step, time)
                     if end is not None:
                         return end
             late = scheduler.wait()
             if self._watch is not None:
                 self._watch.late(late)
-            if pending is not None:
+            if not applied:
                 self._missed += 1
                 self._consecutive += 1
                 self._note("deadline missed", step, f"{self._consecutive} in a row")
@@ -182,10 +190,6 @@ class ControlLoop:
                         f"({self._consecutive * period:.2f} s), asked at step {pending}"
                     )
                     return CONTROLLER_TIMEOUT
-                try:
-                    self._fill_in(period)
-                except CommandError as error:
-                    return self._refused(error, step)
             rows = world.poll()
             if len(rows) == 0 and verdict is None:
                 continue

@@ -27,7 +27,7 @@ class EpisodeResult:
     flight_time is that of the last control step's start, as the competition counts it.
     collisions and violations count control steps; compute_ms are percentiles of the wall time
     of ``cmdFirmware``; late_ms of the start of control steps; answer_ms from question to answer.
-    missed_ticks: control steps that ended without the command asked for at or before them;
+    missed_ticks: control steps in which no command of the contestant was applied;
     late_commands: commands applied at a later tick than their own; phases: s by name.
     reveals: when which gate's exact pose was told.
     """
@@ -113,14 +113,15 @@ class TrialResult:
 
 
 def percentiles_ms(seconds: np.ndarray) -> dict[str, float]:
-    """p50, p90, p99, max and mean in ms; empty when there is nothing to tell."""
+    """p50, p90, p99, p99.9, max and mean in ms; empty when there is nothing to tell."""
     if len(seconds) == 0:
         return {}
-    p50, p90, p99 = np.percentile(seconds, [50, 90, 99]) * 1e3
+    p50, p90, p99, p999 = np.percentile(seconds, [50, 90, 99, 99.9]) * 1e3
     return {
         "p50": float(p50),
         "p90": float(p90),
         "p99": float(p99),
+        "p99.9": float(p999),
         "max": float(seconds.max()) * 1e3,
         "mean": float(seconds.mean()) * 1e3,
     }

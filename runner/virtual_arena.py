@@ -1,7 +1,8 @@
 """A whole arena in a process of its own: a virtual Crazyflie on UDP and cameras on zenoh.
 
 ``python -m crazyarena.runner.virtual_arena CONFIG`` with a JSON object: level_file (path), seed,
-vehicle, port, endpoint, cameras (fields of CameraModel). Prints one line of JSON with ``uri``
+vehicle, port, endpoint, cameras (fields of CameraModel), battery (times the usual capacity).
+Prints one line of JSON with ``uri``
 once it runs, and on SIGTERM one with how it kept up, then ends.
 """
 
@@ -40,6 +41,7 @@ def _serve(config: dict[str, Any]) -> None:
     from crazyarena.sim_backend.arena_world import SENSOR_NOISE, feet, track_truth
     from crazyarena.sim_backend.crtp.server import VirtualServer
     from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
+    from crazyarena.sim_backend.physics.arena_plant import AP_CAPACITY
     from crazyarena.sim_backend.physics.competition_step import PLANT_SIZE
     from crazyarena.sim_backend.physics.scene import build_scene
 
@@ -64,6 +66,7 @@ def _serve(config: dict[str, Any]) -> None:
         rng=for_sensors,
     )
     fleet.plants[0, :PLANT_SIZE] = (draw.mass, *draw.inertia)
+    fleet.plants[0, AP_CAPACITY] *= config["battery"]
     fleet.advance(1)  # compiles, which must not happen in flight
     swarm = Swarm(fleet)
     swarm.track = track_truth(feet(draw), draw.obstacles)
@@ -120,6 +123,7 @@ class VirtualArena:
         *,
         vehicle: int = 1,
         cameras: dict[str, Any] | None = None,
+        battery: float = 1.0,
     ) -> None:
         self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
         self.report: dict[str, Any] = {}
@@ -132,6 +136,7 @@ class VirtualArena:
             "port": 0,
             "endpoint": self.endpoint,
             "cameras": cameras or {},
+            "battery": battery,
         }
         self._errors = open(folder / "virtual_arena.log", "w+")  # noqa: SIM115 - closed by close()
         self._process = subprocess.Popen(

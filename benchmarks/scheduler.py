@@ -1,0 +1,197 @@
+"""Lateness of the 30 Hz tick in the whole bench pipeline, beside two usual ways to keep a rate.
+
+Our loop flies a virtual Crazyflie over cflib and UDP, sees it through zenoh, asks a sandboxed
+contestant and has the watchdog on. At the same time two plain loops keep 30 Hz in processes of
+their own: ``sleep(1/30 - elapsed)``, and one that remembers when it should have woken, as
+``rospy.Rate`` does. All of them idle, and again with every CPU busy.
+
+Lateness is that of tick k against t0 + k/30. Run
+``python benchmarks/scheduler.py [--minutes 10] [--only idle|loaded]``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import tempfile
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from crazyarena.levels.schema import Level
+from crazyarena.mocap.zenoh_link import ZenohSource
+from crazyarena.runner.fly import Fly
+from crazyarena.runner.hardware import connected
+from crazyarena.runner.rig import Rig
+from crazyarena.runner.virtual_arena import VirtualArena
+from crazyarena.safety.limits import Limits
+
+RATE = 30.0
+WORK = 0.002  # s that the plain loops compute in every period
+
+HOVER = """
+import math
+from competition_utils import Command
+
+class Controller:
+    def __init__(self, initial_obs, initial_info, use_firmware=False, verbose=False):
+        self.x, self.y = initial_obs[0], initial_obs[2]
+
+    def cmdFirmware(self, time, obs, reward=None, done=None, info=None):
+        rise = min(time / 3.0, 1.0)
+        height = 1.0 * rise * rise * (3.0 - 2.0 * rise)
+        place = [self.x + 0.3 * rise * math.sin(0.5 * time), self.y, max(height, 0.05)]
+        return Command.FULLSTATE, [place, [0] * 3, [0] * 3, 0.0, [0] * 3]
+"""
+
+
+def burn(seconds: float) -> None:
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        pass
+
+
+def naive(seconds: float, out: Connection) -> None:
+    """``sleep(1/30 - elapsed)``."""
+    late = []
+    t0 = time.monotonic()
+    for k in range(1, int(seconds * RATE)):
+        begun = time.monotonic()
+        burn(WORK)
+        elapsed = time.monotonic() - begun
+        time.sleep(max(0.0, 1.0 / RATE - elapsed))
+        late.append(time.monotonic() - (t0 + k / RATE))
+    out.send(late)
+
+
+def remembering(seconds: float, out: Connection) -> None:
+    """As rospy.Rate: sleeps to the next multiple, forgets the past when it is far behind."""
+    late = []
+    t0 = last = time.monotonic()
+    period = 1.0 / RATE
+    for k in range(1, int(seconds * RATE)):
+        burn(WORK)
+        time.sleep(max(0.0, last + period - time.monotonic()))
+        last += period
+        if time.monotonic() - last > 2.0 * period:
+            last = time.monotonic()
+        late.append(time.monotonic() - (t0 + k / RATE))
+    out.send(late)
+
+
+def spin(stop: Any) -> None:
+    while not stop.is_set():
+        burn(0.05)
+
+
+def milliseconds(late: list[float]) -> dict[str, float]:
+    values = 1e3 * np.array(late)
+    p50, p99, p999 = np.percentile(values, [50, 99, 99.9])
+    return {
+        "p50": float(p50),
+        "p99": float(p99),
+        "p99.9": float(p999),
+        "max": float(values.max()),
+    }
+
+
+def fly(seconds: float, folder: Path) -> dict[str, Any]:
+    """Hover through the bench pipeline; the result of the episode."""
+    submission = folder / "hover.py"
+    submission.write_text(HOVER)
+    arenas: list[VirtualArena] = []
+
+    def open_rig(level: Level, limits: Limits) -> Rig:
+        # A usual battery is empty before the time is up.
+        arena = VirtualArena(level, level.seed, folder, battery=10.0)
+        arenas.append(arena)
+        rig = connected(
+            level,
+            arena.uri,
+            lambda clock: ZenohSource(clock, connect=[arena.endpoint]),
+            limits=limits,
+        )
+        rig.closers.insert(0, arena.close)
+        return rig
+
+    overrides = [
+        "track.gates=[]",
+        "track.obstacles=[]",
+        f"episode_length={seconds}",
+        "goal.position=[2.5, 2.5, 1.5]",
+        "start.position=[0, 0, 0.03]",
+    ]
+    Fly(
+        submission,
+        "sim2real",
+        overrides,
+        out=folder / "out",
+        open_rig=open_rig,
+        yes=True,
+        figure=False,
+        console=Console(quiet=True),
+    ).run()
+    document = json.loads((folder / "out" / "result.json").read_text())
+    episode: dict[str, Any] = document["episodes"][0]
+    episode["real_time"] = document["provenance"].get("real_time")
+    episode["arena"] = arenas[0].report
+    return episode
+
+
+def measure(seconds: float, loaded: bool) -> dict[str, Any]:
+    """All three loops at the same time."""
+    context = multiprocessing.get_context("spawn")
+    stop = context.Event()
+    spinners = [
+        context.Process(target=spin, args=(stop,), daemon=True)
+        for _ in range((os.cpu_count() or 1) if loaded else 0)
+    ]
+    others = {}
+    for spinner in spinners:
+        spinner.start()
+    for loop in (naive, remembering):
+        ours, theirs = context.Pipe(duplex=False)
+        process = context.Process(target=loop, args=(seconds, theirs), daemon=True)
+        process.start()
+        others[loop.__name__] = (process, ours)
+    with tempfile.TemporaryDirectory(prefix="crazyarena-scheduler-") as folder:
+        episode = fly(seconds, Path(folder))
+    result: dict[str, Any] = {
+        "loaded": loaded,
+        "load_average": os.getloadavg()[0],
+        "crazyarena": {k: v for k, v in episode["late_ms"].items() if k not in ("p90", "mean")},
+        "ticks": episode["steps"],
+        "skipped_by_us": episode["skipped_steps"],
+        "missed_by_contestant": episode["missed_ticks"],
+        "answer_ms": episode["answer_ms"],
+        "termination": episode["termination"],
+        "error": episode["error"],
+        "real_time": episode["real_time"],
+        "arena": episode["arena"],
+    }
+    for name, (process, ours) in others.items():
+        result[name] = milliseconds(ours.recv())
+        process.join()
+    stop.set()
+    for spinner in spinners:
+        spinner.join()
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--only", choices=("idle", "loaded"))
+    arguments = parser.parse_args()
+    for name in ("idle", "loaded") if arguments.only is None else (arguments.only,):
+        print(json.dumps(measure(60.0 * arguments.minutes, name == "loaded"), indent=2))
+
+
+if __name__ == "__main__":
+    main()
