@@ -1,0 +1,165 @@
+"""Phases around a run, on the simulated rig: what each refuses, and that every way ends down."""
+
+import numpy as np
+import pytest
+
+from crazyarena.crazyswarm_compat import commands as cs
+from crazyarena.levels import load_level
+from crazyarena.levels.draw import LevelRandom
+from crazyarena.mocap.camera_model import CameraModel
+from crazyarena.runner.crew import Aborted, Crew, Phase, Timeouts
+from crazyarena.runner.referee import Referee
+from crazyarena.runner.rig import simulated
+from crazyarena.runner.tracked_world import TrackedWorld
+from crazyarena.sim_backend.firmware.supervisor import INFO_ARMED, INFO_FLYING
+
+QUICK = Timeouts(connect=0.5, preflight=3.0, survey=3.0, arm=1.0, countdown=1.0, disarm=1.0)
+
+
+@pytest.fixture
+def level():
+    return load_level("sim2real")
+
+
+@pytest.fixture
+def stand(level):
+    """Make a staged rig with its crew; closed afterwards."""
+    worlds = []
+
+    def make(move=(0.0, 0.0), cameras=None, **options):
+        rig = simulated(level, 5, cameras)
+        world = TrackedWorld(rig)
+        worlds.append(world)
+        draw = LevelRandom(level).reset()
+        if move != (0.0, 0.0):
+            start = draw.start.copy()
+            start[[0, 2]] += move
+            draw = type(draw)(
+                start, draw.mass, draw.inertia, draw.gates, draw.nominal_gates, draw.obstacles,
+                draw._noise,
+            )  # fmt: skip
+        world.reset(draw)
+        told = []
+        crew = Crew(
+            rig, world, level, on_phase=lambda p, t: told.append((p, t)), timeouts=QUICK, **options
+        )
+        return rig, world, crew, draw, told
+
+    yield make
+    for world in worlds:
+        world.close()
+
+
+def fleet(rig):
+    return rig.safeguard.gate._backend._fleet
+
+
+def test_the_survey_finds_the_drawn_track(stand):
+    _rig, world, crew, draw, _ = stand()
+    track = crew.prepare()
+    np.testing.assert_allclose(track.gates, draw.gates, atol=2e-3)
+    np.testing.assert_allclose(track.obstacles[:, :3], draw.obstacles[:, :3], atol=2e-3)
+    assert track.source == "measured"
+    state = world.state()
+    np.testing.assert_allclose(state[[0, 2]], draw.start[[0, 2]], atol=3e-3)
+
+
+def test_phases_come_in_order_and_end_on_the_ground(stand, level):
+    rig, world, crew, draw, told = stand()
+    crew.prepare()
+    crew.launch()
+    assert rig.backend.telemetry(1).supervisor & INFO_ARMED
+    world.begin()
+    start = draw.start
+    for k in range(60):
+        world.send(
+            cs.FullState((start[0], start[2], 0.02 * k), (0, 0, 0.6), (0, 0, 0), 0.0, (0, 0, 0))
+        )
+        rig.clock.sleep_until(rig.clock.now() + 1 / 30)
+    assert fleet(rig).true_pose(0).position[2] > 0.8
+    crew.bring_home()
+    place = fleet(rig).true_pose(0).position
+    assert place[2] < 0.03
+    assert np.linalg.norm(place[:2] - draw.start[[0, 2]]) < 0.1
+    assert not fleet(rig).supervisor_info(0) & (INFO_ARMED | INFO_FLYING)
+    phases = [p for p, text in told if not text]
+    assert phases == [
+        Phase.CONNECT, Phase.PREFLIGHT, Phase.SURVEY, Phase.ARM, Phase.COUNTDOWN, Phase.RETURN,
+        Phase.DISARM,
+    ]  # fmt: skip
+
+
+def test_ground_contact_counts_from_lift_off_on(stand, level):
+    rig, world, crew, draw, _ = stand()
+    track = crew.prepare()
+    crew.launch()
+    referee = Referee(level)
+    referee.begin(track.gates, track.obstacles)
+    world.begin()
+    rig.clock.sleep_until(rig.clock.now() + 0.5)
+    assert not referee.judge(world.poll()).collided
+    start = draw.start
+    for k in range(45):
+        height = 0.4 if k < 20 else 0.0
+        world.send(cs.FullState((start[0], start[2], height), (0, 0, 0), (0, 0, 0), 0.0, (0, 0, 0)))
+        rig.clock.sleep_until(rig.clock.now() + 1 / 30)
+        verdict = referee.judge(world.poll())
+    assert verdict.collided
+    assert verdict.info["collision"] == (0, True)
+
+
+def test_a_vehicle_at_the_wrong_place_does_not_take_off(stand):
+    _, _, crew, _, _ = stand(move=(0.4, 0.0))
+    with pytest.raises(Aborted, match=r"pre-flight: vehicle 1 stands 0\.\d+ m from the start"):
+        crew.prepare()
+
+
+def test_blind_cameras_stop_it_on_the_ground(stand):
+    _, _, crew, _, _ = stand(cameras=CameraModel(frame_loss=1.0))
+    with pytest.raises(Aborted, match="connect: no frames from the cameras"):
+        crew.prepare()
+
+
+def test_a_gate_that_stands_elsewhere_is_refused(stand, level):
+    rig, _world, crew, _draw, _ = stand()
+    # The arena has a gate 0.5 m away from where the level wants it.
+    crew._level = load_level("sim2real", ["track.gates[1].x=2.6"])
+    with pytest.raises(Aborted, match=r"survey: .*gate2 stands"):
+        crew.prepare()
+    assert fleet(rig).true_pose(0).position[2] < 0.03
+
+
+def test_the_operator_may_say_no(stand):
+    rig, _, crew, _, _ = stand(confirm=lambda question: False)
+    crew.prepare()
+    with pytest.raises(Aborted, match="arm: the operator said no"):
+        crew.launch()
+    assert fleet(rig).true_pose(0).position[2] < 0.03
+
+
+def test_further_checks_speak_before_arming(stand):
+    _, _, crew, _, _ = stand(checks=(lambda: ["the net is open"],))
+    with pytest.raises(Aborted, match="pre-flight: the net is open"):
+        crew.prepare()
+
+
+def test_abort_in_the_air_lands_where_it_is(stand):
+    rig, world, crew, _draw, _ = stand()
+    crew.prepare()
+    crew.launch()
+    world.send(cs.Takeoff(0.8, 1.5))
+    rig.clock.sleep_until(rig.clock.now() + 2.5)
+    assert fleet(rig).true_pose(0).position[2] > 0.6
+    crew.abort()
+    assert fleet(rig).true_pose(0).position[2] < 0.05
+
+
+def test_a_tumbled_vehicle_is_not_flown_home(stand):
+    rig, world, crew, _draw, told = stand()
+    crew.prepare()
+    crew.launch()
+    world.send(cs.Emergency())
+    rig.clock.sleep_until(rig.clock.now() + 0.5)
+    crew.bring_home()
+    assert any("cannot fly any more" in text for _, text in told)
+    assert fleet(rig).true_pose(0).position[2] < 0.05
