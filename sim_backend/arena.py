@@ -425,11 +425,16 @@ class ArenaFleet:
             if no vehicle could execute it.
         """
         check(command, f"vehicle {self.ids[vehicle]}")
+        if not self.is_addressed(command, vehicle):
+            return 0
+        return _HANDLERS[type(command)](self, vehicle, command)
+
+    def is_addressed(self, command: c.Command, vehicle: int) -> bool:
+        """False if the command is for a group that the vehicle does not belong to."""
         mask = getattr(command, "group_mask", 0)
-        addressed = isinstance(command, c.SetGroupMask) or high_level.in_group(
-            self.rows(vehicle).high_level_params, int(mask)
+        return isinstance(command, c.SetGroupMask) or bool(
+            high_level.in_group(self.rows(vehicle).high_level_params, int(mask))
         )
-        return _HANDLERS[type(command)](self, vehicle, command) if addressed else 0
 
     def emergency_watchdog(self, vehicle: int) -> None:
         """Feed the emergency-stop watchdog, which is active from its first feeding on."""

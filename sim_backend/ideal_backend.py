@@ -17,7 +17,7 @@ import numpy as np
 
 from crazyarena.clock import Clock, VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.crazyswarm_compat.checks import UnknownTrajectory, check, verb
+from crazyarena.crazyswarm_compat.checks import check, verb
 from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
 from crazyarena.crazyswarm_compat.registry import IdealState, SimOptions
 from crazyarena.errors import BackendError, CommandError
@@ -52,6 +52,7 @@ from crazyarena.sim_backend.physics.ideal import (
     plan_trajectory,
     plan_vertical,
 )
+from crazyarena.sim_backend.stored_trajectories import StoredTrajectories
 from crazyarena.types import Pose, Telemetry, Vector, VehicleState
 
 # Beside those of the firmware modules in use, parameters that scripts like to set.
@@ -121,7 +122,7 @@ class IdealBackend:
             np.zeros(SETPOINT_SIZE),
         )
         self._trajectories: list[dict[int, np.ndarray]] = [{} for _ in range(n)]
-        self._stored: list[dict[int, range]] = [{} for _ in range(n)]
+        self._stored = [StoredTrajectories(config.name) for config in self._configs]
         self._params = [dict(_DEFAULTS) for _ in fleet.vehicles]
         self._locked = [False] * n
         for index, config in enumerate(fleet.vehicles):
@@ -247,7 +248,7 @@ class IdealBackend:
         self._now = now
 
     def _execute(self, index: int, command: c.Command) -> None:
-        if self._locked[index]:
+        if self._locked[index] and not isinstance(command, c.Emergency):
             warnings.warn(
                 f"{self._configs[index].name}: {verb(command)}: ignored; the emergency stop locks "
                 "the vehicle until it is rebooted",
@@ -355,18 +356,7 @@ class IdealBackend:
             self._stop(index, m)
 
     def _upload(self, index: int, m: c.UploadTrajectory) -> None:
-        stored = self._stored[index]
-        places = range(int(m.piece_offset), int(m.piece_offset) + len(m.pieces))
-        for other, taken in stored.items():
-            if other != m.trajectory_id and taken.start < places.stop and places.start < taken.stop:
-                warnings.warn(
-                    f"{self._configs[index].name}: uploadTrajectory: trajectory {m.trajectory_id} "
-                    f"(pieces {places.start}..{places.stop - 1}) overwrites trajectory {other} "
-                    f"(pieces {taken.start}..{taken.stop - 1}) in a real vehicle's memory; give "
-                    f"it another pieceOffset",
-                    stacklevel=5,
-                )
-        stored[m.trajectory_id] = places
+        self._stored[index].note(m)
         # The planner reads the vehicle's format: 32 coefficients, then the duration, float32.
         self._trajectories[index][m.trajectory_id] = np.frombuffer(
             np.roll(np.asarray(m.pieces, dtype=np.float64), -1, axis=1).astype("<f4").tobytes(),
@@ -374,12 +364,8 @@ class IdealBackend:
         )
 
     def _start(self, index: int, m: c.StartTrajectory) -> None:
-        trajectory = self._trajectories[index].get(m.trajectory_id)
-        if trajectory is None:
-            raise UnknownTrajectory(
-                f"{self._configs[index].name}: startTrajectory: trajectory {m.trajectory_id} has "
-                f"not been uploaded; known are {sorted(self._trajectories[index]) or 'none'}"
-            )
+        self._stored[index].require(m.trajectory_id)
+        trajectory = self._trajectories[index][m.trajectory_id]
         self._memory[index, : len(trajectory)] = trajectory
         plan_trajectory(
             self._planner[index],

@@ -15,12 +15,14 @@ import numpy as np
 
 from crazyarena.clock import Clock, VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.crazyswarm_compat.checks import check, verb
 from crazyarena.crazyswarm_compat.config import FleetConfig
 from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.registry import SimOptions
 from crazyarena.errors import BackendError, CommandError
 from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.arena_kernel import DT
+from crazyarena.sim_backend.firmware.supervisor import INFO_LOCKED, SV_STOP
 from crazyarena.sim_backend.physics.arena_plant import (
     AB_ROTOR,
     AP_DRAG,
@@ -34,10 +36,18 @@ from crazyarena.sim_backend.physics.competition_step import (
     PLANT_SIZE,
 )
 from crazyarena.sim_backend.physics.rigid_body import P_DRAG, arena_plant
+from crazyarena.sim_backend.stored_trajectories import StoredTrajectories
 from crazyarena.types import Pose, Telemetry, VehicleContact
 
 _POSE_TICKS = 10  # ms between motion-capture frames
 _SETTLE_TICKS = 2000  # ms before a script begins
+# What a locked vehicle still does.
+_GROUND_COMMANDS = (c.Emergency, c.SetParam, c.SetLed, c.SetGroupMask, c.UploadTrajectory)
+# Answers of a vehicle that a script should hear of. Taking off in flight is not among them.
+_REFUSALS = {
+    8: "the firmware cannot execute it (trajectory ids go from 0 to 30)",
+    16: "the vehicle may not fly now: it is not armed, has tumbled or crashed",
+}
 _VEHICLES_PER_THREAD = 8  # below that a thread costs more than it brings
 
 
@@ -65,6 +75,7 @@ class ArenaBackend:
             threads=min(os.cpu_count() or 1, len(fleet.vehicles) // _VEHICLES_PER_THREAD),
             downwash=downwash,
         )
+        self._stored = [StoredTrajectories(config.name) for config in fleet.vehicles]
         self._told = 0
         for index, config in enumerate(fleet.vehicles):
             for name, value in config.firmware_params.items():
@@ -87,7 +98,33 @@ class ArenaBackend:
 
     def send(self, command: c.Command, vehicle: int | None = None) -> None:
         for index in range(len(self._fleet)) if vehicle is None else (self._at(vehicle),):
-            self._fleet.send(command, index)
+            self._deliver(command, index)
+
+    def _deliver(self, command: c.Command, index: int) -> None:
+        name = self._names[self._fleet.ids[index]]
+        check(command, name)
+        if not isinstance(command, _GROUND_COMMANDS) and (reason := self._lock(index)):
+            warn(f"{name}: {verb(command)}: ignored; {reason}", stacklevel=5)
+            return
+        if isinstance(command, c.SetParam) and command.name not in self._fleet.param_names():
+            warn(f"{name}: setParam: ignored; no parameter {command.name!r}", stacklevel=5)
+            return
+        if isinstance(command, c.StartTrajectory) and self._fleet.is_addressed(command, index):
+            self._stored[index].require(command.trajectory_id)
+        answer = self._fleet.send(command, index)
+        if answer and isinstance(command, c.Arm):
+            warn(f"{name}: arm: refused in the vehicle's present state", stacklevel=5)
+        elif answer in _REFUSALS:
+            warn(f"{name}: {verb(command)}: refused; {_REFUSALS[answer]}", stacklevel=5)
+        elif isinstance(command, c.UploadTrajectory):
+            self._stored[index].note(command)
+
+    def _lock(self, index: int) -> str | None:
+        if self._fleet.rows(index).supervisor[SV_STOP]:
+            return "the emergency stop locks the vehicle until it is rebooted"
+        if self._fleet.supervisor_info(index) & INFO_LOCKED:
+            return "the vehicle has locked itself, after a crash or silence of its setpoints"
+        return None
 
     def send_external_poses(self, poses: Mapping[int, Pose]) -> None:
         """Deliver further poses, besides those of the room's motion-capture system."""
@@ -106,7 +143,10 @@ class ArenaBackend:
         )
 
     def get_param(self, vehicle: int, name: str) -> float:
-        return self._fleet.get_param(self._at(vehicle), name)
+        index = self._at(vehicle)
+        if name not in self._fleet.param_names():
+            raise BackendError(f"{self._names[vehicle]}: no parameter {name!r}")
+        return self._fleet.get_param(index, name)
 
     def param_names(self, vehicle: int) -> Sequence[str]:
         """Names of all parameters that :meth:`get_param` knows."""

@@ -205,3 +205,109 @@ def test_backend_checks_what_is_sent_to_it_directly():
         backend.send(c.UploadTrajectory(0, 0, np.zeros((2, 32))), 3)
     with pytest.raises(CommandError, match="uploadTrajectory: piece 1"):
         backend.send(c.UploadTrajectory(0, 0, np.eye(2, 33)), 3)
+
+
+# The calls that scripts most often get wrong, on everything that simulates.
+
+BACKENDS = ["ideal", "sim", pytest.param("pybullet", marks=pytest.mark.slow)]
+
+
+@pytest.fixture(params=BACKENDS)
+def anywhere(request, swarm1):
+    swarm = swarm1(f"--backend {request.param}")
+    swarm.allcfs.takeoff(1, 1)
+    swarm.timeHelper.sleep(1.5)
+    yield swarm
+    swarm.allcfs.close()
+
+
+def test_wrong_calls_name_the_vehicle_on_every_backend(anywhere, figure8):
+    first, second = anywhere.allcfs.crazyflies
+    with pytest.raises(KeyError, match="no vehicle with id 99; the fleet has 1, 10"):
+        anywhere.allcfs.crazyfliesById[99]
+    with pytest.raises(CommandError, match=r"no vehicle with id 99; the fleet has 1, 10"):
+        first._backend.send(c.Stop(), 99)
+    with pytest.raises(CommandError, match="cf1: goTo: goal"):
+        first.goTo([0, NAN, 1], 0, 1)
+    with pytest.raises(CommandError, match="cf10: goTo: duration is -1"):
+        second.goTo([0, 0, 1], 0, -1)
+    with pytest.raises(CommandError, match=r"cf1: uploadTrajectory: .*holds 31 pieces"):
+        first.uploadTrajectory(0, 0, pieces(32))
+    with pytest.raises(CommandError, match=r"cf1: uploadTrajectory: piece 0, py has shape \(7,\)"):
+        first.uploadTrajectory(0, 0, pieces(2, size=7))
+    first.uploadTrajectory(4, 0, figure8)
+    with pytest.raises(KeyError, match=r"cf1: startTrajectory: trajectory 5 has not been uploaded"):
+        first.startTrajectory(5)
+    with pytest.warns(UserWarning, match=r"cf1: uploadTrajectory: trajectory 6 .* trajectory 4 "):
+        first.uploadTrajectory(6, 3, pieces(2))
+    with pytest.warns(CrazyswarmWarning, match=r"cf10: no parameter 'no\.such'"):
+        assert second.getParam("no/such") is None
+    anywhere.allcfs.setParam("ring/effect", 7)
+    assert second.getParam("ring/effect") == 7
+    # None of it has moved anybody.
+    anywhere.timeHelper.sleep(0.5)
+    assert np.allclose([first.position(), second.position()], [[1, 0, 1], [0, -1, 1]], atol=0.05)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda cf: cf.takeoff(1, 1),
+        lambda cf: cf.goTo([0, 0, 1], 0, 1),
+        lambda cf: cf.land(0.02, 1),
+        lambda cf: cf.startTrajectory(4),
+        lambda cf: cf.cmdPosition([0, 0, 1]),
+        lambda cf: cf.cmdVelocityWorld([0, 0, 1], 0),
+        lambda cf: cf.cmdFullState([0, 0, 1], ZERO, ZERO, 0, ZERO),
+        lambda cf: cf.notifySetpointsStop(),
+        lambda cf: cf.stop(),
+    ],
+)
+@pytest.mark.parametrize("backend", ["ideal", "sim"])
+def test_everything_after_an_emergency_is_ignored_with_a_warning(swarm1, figure8, backend, call):
+    swarm = swarm1(f"--backend {backend}")
+    cf, _ = swarm.allcfs.crazyflies
+    cf.uploadTrajectory(4, 0, figure8)
+    for delay in (0.0, 2.0):
+        swarm.allcfs.emergency()
+        swarm.timeHelper.sleep(delay)
+        where = cf.position()
+        with pytest.warns(UserWarning, match=r"cf1: \w+: ignored; the emergency stop locks"):
+            call(cf)
+        swarm.timeHelper.sleep(0.5)
+        assert np.allclose(cf.position(), where)
+    swarm.allcfs.close()
+
+
+def test_what_the_firmware_refuses_is_said(swarm1):
+    swarm = swarm1("--backend sim")
+    cf, _ = swarm.allcfs.crazyflies
+    with pytest.warns(CrazyswarmWarning, match=r"cf1: uploadTrajectory: refused; .* 0 to 30"):
+        cf.uploadTrajectory(100, 0, pieces(1))
+    with pytest.raises(KeyError, match="trajectory 100 has not been uploaded; known are none"):
+        cf.startTrajectory(100)
+    swarm.allcfs.close()
+
+
+def test_unknown_parameters_are_pointed_out(swarm1):
+    swarm = swarm1("--backend sim")
+    with pytest.warns(CrazyswarmWarning, match=r"cf10: setParam: ignored; no parameter 'no\.such'"):
+        swarm.allcfs.crazyflies[1].setParam("no/such", 1)
+    swarm.allcfs.close()
+
+
+def test_a_crashed_vehicle_says_why_it_does_not_fly(swarm1):
+    swarm = swarm1("--backend sim")
+    cf, other = swarm.allcfs.crazyflies
+    swarm.allcfs.takeoff(1, 1)
+    swarm.timeHelper.sleep(1.5)
+    for _ in range(20):
+        cf.cmdVel(0, 0, 0, 40000)
+        swarm.timeHelper.sleep(0.05)
+    swarm.timeHelper.sleep(5.0)  # of silence: the commander gives up
+    with pytest.warns(CrazyswarmWarning, match="cf1: goTo: ignored; the vehicle has locked itself"):
+        cf.goTo([0, 0, 1], 0, 1)
+    other.goTo([0, -1, 1.2], 0, 1)
+    swarm.timeHelper.sleep(1.5)
+    assert np.allclose(other.position(), [0, -1, 1.2], atol=0.05)
+    swarm.allcfs.close()
