@@ -107,9 +107,10 @@ def main() -> None:
     parser.add_argument("--case", type=int, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.case is not None:
-        *case, _ = CASES[arguments.case]
-        threads = max(1, min(arguments.threads, case[0] // 8))
-        print(json.dumps(measure(*case, arguments.seconds, threads)))
+        vehicles, spacing, downwash, streamed, _ = CASES[arguments.case]
+        threads = max(1, min(arguments.threads, vehicles // 8))
+        found = measure(vehicles, spacing, downwash, streamed, arguments.seconds, threads)
+        print(json.dumps(found))
         return
     print("| swarm | x real time | x real time of one core | asked | peak memory, MB | asked |")
     print("|---|---|---|---|---|---|")
