@@ -96,7 +96,8 @@ class Estimate:
 def test_scan_interfaces(vehicles: VirtualProcess, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SCAN_ADDRESS", _HOST)
     found = [uri for uri, _ in cflib.crtp.scan_interfaces() if uri.startswith("udp")]
-    assert found == vehicles.uris
+    # cflib lists a vehicle once for each time that somebody in this process set up its drivers.
+    assert list(dict.fromkeys(found)) == vehicles.uris
 
 
 def test_full_toc_download_without_cache(vehicles: VirtualProcess) -> None:
