@@ -8,7 +8,8 @@ watchdog, which watches without taking over so that every alarm of a flight is c
     python benchmarks/false_alarms.py --episodes 200
 
 An intervention is any wish of the watchdog to take over, and any command the gate changed or
-refused. Warnings are counted apart.
+refused. Warnings are counted apart, and so is what happened in episodes that the racer lost by
+itself: there the alarm is no false one.
 """
 
 from __future__ import annotations
@@ -43,6 +44,9 @@ _LEAD = 1.0  # s of frames before the take-off
 _STEP = 0.005  # s, between looks of the watchdog
 
 
+Events = list[SafetyEvent]
+
+
 class WatchedWorld:
     """A competition world whose flight is also seen by cameras, estimator and watchdog."""
 
@@ -50,13 +54,16 @@ class WatchedWorld:
         self._world = CompetitionWorld(level.control_frequency)
         self.clock = self._world.clock
         self._fence = Fence.from_level(level)
+        self._pipeline: PosePipeline
+        self._watchdog: Watchdog
         self._seed = np.random.SeedSequence(seed)
         self._session = VirtualClock()
-        self.events: list[SafetyEvent] = []
+        self.episodes: list[list[SafetyEvent]] = []
         self.frames = 0
 
     def reset(self, draw: Any) -> None:
         self._world.reset(draw)
+        self.episodes.append([])
         # A session of its own for every episode: the ladder is one-way.
         self._session = VirtualClock()
         self._rows = np.empty((0, 2))
@@ -69,7 +76,7 @@ class WatchedWorld:
             self._fence,
             self._session,
             state=lambda vehicle: self._pipeline.estimate("cf").state,
-            on_event=self.events.append,
+            on_event=self.episodes[-1].append,
         )
         self._pipeline = PosePipeline(
             self._cameras,
@@ -85,7 +92,7 @@ class WatchedWorld:
             self._pipeline.estimate,
             grounds={self._world.vehicles[0]: float(z)},
             flies=False,
-            on_event=self.events.append,
+            on_event=self.episodes[-1].append,
         )
         for k in range(round(_LEAD / _STEP)):
             self._look((k + 1) * _STEP)
@@ -132,8 +139,8 @@ def _quaternion(roll: float, pitch: float, yaw: float) -> np.ndarray:
     )
 
 
-def fly(level_name: str, episodes: int, seed: int) -> tuple[int, int, list[SafetyEvent]]:
-    """Completed episodes, frames looked at, and every event."""
+def fly(level_name: str, episodes: int, seed: int) -> tuple[int, list[tuple[bool, Events]]]:
+    """Frames looked at, and per episode whether it was completed and what happened."""
     level = load_level(level_name, ["reseed_on_reset=false"])
     world = WatchedWorld(level, seed)
     with (
@@ -142,8 +149,12 @@ def fly(level_name: str, episodes: int, seed: int) -> tuple[int, int, list[Safet
     ):
         result = Trial(level, submission, world, episodes=episodes, seed=seed).run()
     world.close()
-    completed = sum(episode.completed for episode in result.episodes)
-    return completed, world.frames, world.events
+    completed = [episode.completed for episode in result.episodes]
+    return world.frames, list(zip(completed, world.episodes, strict=True))
+
+
+def is_intervention(event: SafetyEvent) -> bool:
+    return event.severity >= Action.HOLD or event.rule.startswith("gate_")
 
 
 def main() -> None:
@@ -154,17 +165,22 @@ def main() -> None:
     share = options.episodes // 4
     interventions = 0
     for index, name in enumerate(("level0", "level1", "level2", "level3")):
-        completed, frames, events = fly(name, share, options.seed + index)
-        alarms = [e for e in events if e.severity >= Action.HOLD or e.rule.startswith("gate_")]
-        warnings = collections.Counter(e.rule for e in events if e not in alarms)
+        frames, flights = fly(name, share, options.seed + index)
+        good = [event for completed, events in flights if completed for event in events]
+        alarms = [event for event in good if is_intervention(event)]
+        warnings = collections.Counter(event.rule for event in good if event not in alarms)
         interventions += len(alarms)
         print(
-            f"{name}: {share} episodes, {completed} completed, {frames} frames, "
-            f"{len(alarms)} interventions, warnings {dict(warnings)}",
+            f"{name}: {share} episodes, {sum(done for done, _ in flights)} completed, "
+            f"{frames} frames, {len(alarms)} interventions, warnings {dict(warnings)}",
             flush=True,
         )
         for event in alarms[:5]:
             print(f"  {event}")
+        for number, (completed, events) in enumerate(flights):
+            if not completed:
+                rules = [event.rule for event in events if is_intervention(event)]
+                print(f"  episode {number} was not completed: {rules}")
     print(f"{4 * share} episodes: {interventions} interventions")
     raise SystemExit(interventions > 0)
 
