@@ -94,10 +94,10 @@ def read(file: Path) -> Recording:
         except McapError as error:
             if not channels:
                 raise InputError(f"{file}: not an MCAP recording: {error}") from error
-        except Exception:
+        except Exception as error:
             # The reader stops with all sorts of errors where a dying process stopped writing.
             if not channels:
-                raise
+                raise InputError(f"{file}: not an MCAP recording: {error}") from error
     tables, columns, events = {}, {}, []
     for number, channel in channels.items():
         topic = channel.topic.strip("/")

@@ -13,6 +13,7 @@ from crazyarena.mocap.survey import read_track
 from crazyarena.runner.crew import Crew, Phase
 from crazyarena.runner.dry_run import DryRun
 from crazyarena.runner.injection import DEFAULT_PREFIX, Injection, ZenohOutlet
+from crazyarena.runner.realtime import threads_in_front
 from crazyarena.runner.rig import Rig
 from crazyarena.runner.tracked_world import TrackedWorld
 from crazyarena.runner.world import World
@@ -60,7 +61,8 @@ class Fly(DryRun):
         self._sources: list[Any] = []
 
     def _make_world(self) -> World:
-        return TrackedWorld(self._open_rig(self._level, self._limits()))
+        with threads_in_front() if self._real_time else contextlib.nullcontext():
+            return TrackedWorld(self._open_rig(self._level, self._limits()))
 
     def _crew(self, world: TrackedWorld) -> Crew:
         return Crew(

@@ -33,13 +33,13 @@ def unlock_memory() -> None:
     ctypes.CDLL(None).munlockall()
 
 
-def raise_priority() -> str:
+def raise_priority(inherit: bool = False) -> str:
     """Schedule the calling thread in real time; returns what came of it, in words.
 
-    What it starts from now on is scheduled as usual.
+    What it starts from now on is scheduled as usual, or likewise with ``inherit``.
     """
     try:
-        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        policy = os.SCHED_FIFO if inherit else os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
         os.sched_setscheduler(0, policy, os.sched_param(PRIORITY))
     except (OSError, AttributeError) as error:
         return (
@@ -53,6 +53,19 @@ def lower_priority() -> None:
     """Undo :func:`raise_priority`."""
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+@contextlib.contextmanager
+def threads_in_front() -> Iterator[str]:
+    """Threads and processes started inside the ``with`` block run in real time, if allowed.
+
+    For those of link and cameras: a pose that waits for a processor is an old pose.
+    """
+    note = raise_priority(inherit=True)
+    try:
+        yield note
+    finally:
+        lower_priority()
 
 
 @contextlib.contextmanager

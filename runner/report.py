@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import json
+import os
 import platform
 import sys
 from importlib import metadata
@@ -15,7 +17,16 @@ from crazyarena.levels import dump_level
 from crazyarena.levels.schema import Level
 from crazyarena.runner.result import FORMAT, TrialResult
 
-_PACKAGES = ("numpy", "numba", "scipy", "casadi", "torch", "cflib")
+_PACKAGES = (
+    "numpy",
+    "numba",
+    "scipy",
+    "casadi",
+    "torch",
+    "cflib",
+    "eclipse-zenoh",
+    "motioncapture",
+)
 
 
 def _versions() -> dict[str, str]:
@@ -28,11 +39,24 @@ def _versions() -> dict[str, str]:
     return versions
 
 
+def _machine() -> dict[str, Any]:
+    """The computer, as far as it bears on timing."""
+    model = platform.processor()
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.lower().startswith("model name"):
+                model = line.partition(":")[2].strip()
+                break
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    return {"host": platform.node(), "cpu": model, "cpus": os.cpu_count(), "load": load}
+
+
 def provenance(level: Level, seed: int, submission: Path, digest: str) -> dict[str, Any]:
     """Everything needed to fly the same again."""
     return {
         "versions": _versions(),
         "platform": platform.platform(),
+        "machine": _machine(),
         "command": sys.argv[1:],
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "level": level.name,

@@ -28,6 +28,7 @@ from crazyarena.errors import BackendError
 from crazyarena.levels import dump_level, load_level
 from crazyarena.levels.draw import LevelRandom
 from crazyarena.levels.schema import Level
+from crazyarena.runner.realtime import lower_priority, raise_priority
 from crazyarena.types import Pose
 
 _START_TIMEOUT = 300.0  # s; the first run compiles
@@ -53,6 +54,7 @@ def _serve(config: dict[str, Any]) -> None:
         def truth(self) -> dict[str, Pose]:
             return {**super().truth(), **self.track}
 
+    lower_priority()  # whatever the runner had: first comes a lot of work that may wait
     draw = LevelRandom(load_level(config["level_file"]), config["seed"]).reset()
     # Not the numbers of the dry run: measurement noise never repeats in an arena either.
     for_cameras, for_sensors = np.random.default_rng([config["seed"], os.getpid()]).spawn(2)
@@ -72,6 +74,8 @@ def _serve(config: dict[str, Any]) -> None:
     swarm.track = track_truth(feet(draw), draw.obstacles)
     for vehicle in swarm.vehicles:
         vehicle.warm_up()
+    # Real vehicles and cameras are never short of processors.
+    raise_priority(inherit=True)
     clock = WallClock()
     cameras = SimSource(clock, None, CameraModel(**config["cameras"]), for_cameras)
     publisher = ZenohPublisher(clock, listen=[config["endpoint"]])

@@ -6,6 +6,7 @@ is the id to change to, or the present one.
 
 from __future__ import annotations
 
+import contextlib
 import faulthandler
 import json
 import os
@@ -35,6 +36,8 @@ def main(arguments: list[str]) -> None:
     wrapped = in_bubblewrap == "1"
     channel = socket.socket(fileno=int(number))
     namespaces.die_with_parent()
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     entered: list[str] = [] if wrapped else namespaces.enter()
     if "processes" in entered:
         # A bare record, as in wire.py, whose imports would be in the way of a quick fork.
