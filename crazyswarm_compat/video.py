@@ -13,13 +13,25 @@ from numpy.typing import NDArray
 from crazyarena.errors import BackendError
 
 
+def _find_ffmpeg() -> str | None:
+    """The machine's own ffmpeg, else the one that comes as a Python package."""
+    ffmpeg = shutil.which("ffmpeg")
+    if ffmpeg is None:
+        try:
+            import imageio_ffmpeg
+        except ImportError:
+            return None
+        ffmpeg = imageio_ffmpeg.get_ffmpeg_exe()
+    return ffmpeg
+
+
 class VideoWriter:
     """Film at ``path`` with one frame per ``dt`` s; ``shape`` is (height, width) in pixels.
 
     Raises
     ------
     BackendError
-        if the film is not a GIF and there is no ffmpeg on the PATH.
+        if the film is not a GIF and there is no ffmpeg.
     """
 
     def __init__(self, path: str, dt: float, shape: tuple[int, int]) -> None:
@@ -29,11 +41,12 @@ class VideoWriter:
         self._images: list[Any] | None = [] if Path(path).suffix.lower() == ".gif" else None
         self._process: subprocess.Popen[bytes] | None = None
         if self._images is None:
-            ffmpeg = shutil.which("ffmpeg")
+            ffmpeg = _find_ffmpeg()
             if ffmpeg is None:
                 raise BackendError(
-                    f"--video {path}: needs the program 'ffmpeg' on the PATH; install it, or "
-                    "choose a file ending in .gif"
+                    f"--video {path}: needs the program 'ffmpeg'; install it or the package "
+                    "imageio-ffmpeg (pip install 'crazyarena[video]'), or choose a file ending "
+                    "in .gif"
                 )
             height, width = self._shape
             self._process = subprocess.Popen(

@@ -375,6 +375,18 @@ def test_film(swarm1, tmp_path):
     assert abs(milliseconds / 1e3 - swarm.timeHelper.time()) <= 0.1
 
 
+def test_film_as_mp4(swarm1, tmp_path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    path = tmp_path / "film.mp4"
+    swarm = swarm1(f"--dt {1 / 12} --vis mpl --video {path}")
+    swarm.allcfs.takeoff(Z, 2.0)
+    swarm.timeHelper.sleep(1.0)
+    swarm.timeHelper._atexit()
+    frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(path))
+    assert frames == round(12 * swarm.timeHelper.time())
+    assert seconds == pytest.approx(swarm.timeHelper.time(), abs=0.1)
+
+
 def test_yaml_text(swarm1):
     allcfs = swarm1().allcfs
     assert len(allcfs.crazyflies) == 2
