@@ -31,8 +31,8 @@ from crazyarena.sim_backend.firmware.layout import (
     STATE_SIZE,
 )
 from crazyarena.sim_backend.jit import kernel
-from crazyarena.sim_backend.physics import contact
 from crazyarena.sim_backend.physics import competition_step as plant_step
+from crazyarena.sim_backend.physics import contact
 from crazyarena.sim_backend.physics.competition_step import (
     B_OMEGA,
     B_POS,
