@@ -104,10 +104,8 @@ def command(*extra: str, cache: str | None = None) -> tuple[float, float]:
         environment["XDG_CACHE_HOME"] = cache
     with tempfile.TemporaryDirectory() as folder:
         begin = time.perf_counter()
-        subprocess.run(
-            [sys.executable, "-m", "crazyarena", "dry-run", "--episodes", "1", "--out", folder, *extra],
-            env=environment, check=True, stdout=subprocess.DEVNULL,
-        )  # fmt: skip
+        line = [sys.executable, "-m", "crazyarena", "dry-run", "--episodes", "1", "--out", folder]
+        subprocess.run([*line, *extra], env=environment, check=True, stdout=subprocess.DEVNULL)
         wall = time.perf_counter() - begin
     return wall, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
 

@@ -200,9 +200,9 @@ class ControlLoop:
                 self._on_step(time)
             if done:
                 if pending is None:
-                    error = self._learn_last(learn, scheduler.step)
-                    if error is not None:
-                        return error
+                    trouble = self._learn_last(learn, scheduler.step)
+                    if trouble is not None:
+                        return trouble
                 return self._referee.reason(verdict)
 
     def _judge(self, rows: np.ndarray, time: float) -> Verdict:

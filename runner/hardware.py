@@ -51,7 +51,9 @@ def connected(
     body = body or f"cf{vehicle}"
     clock = WallClock()
     start = level.start.position
-    config = VehicleConfig(id=vehicle, name=body, initial_position=start, uri=uri)
+    config = VehicleConfig(
+        id=vehicle, name=body, initial_position=(start[0], start[1], start[2]), uri=uri
+    )
     with ExitStack() as undo:
         source = open_source(clock)
         undo.callback(source.close)

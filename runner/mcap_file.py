@@ -12,7 +12,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,9 +67,7 @@ class Batch:
     offsets: NDArray[np.uint64]
 
 
-def cdr_batch(
-    channel: int, sequence: int, times: NDArray[np.uint64], rows: NDArray[np.void]
-) -> Batch:
+def cdr_batch(channel: int, sequence: int, times: NDArray[np.uint64], rows: NDArray[Any]) -> Batch:
     """Frame fixed-size messages; ``rows`` (n,) is a packed structured array, or (n, m) float64."""
     n = len(times)
     payload = rows.dtype if rows.ndim == 1 else np.dtype((rows.dtype, rows.shape[1:]))

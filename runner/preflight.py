@@ -70,9 +70,10 @@ def gather(
         backend = None
         ids = {name: index + 1 for index, name in enumerate(vehicles)}
         if vehicles:
+            start = flown.start.position
             fleet = FleetConfig(
                 tuple(
-                    VehicleConfig(ids[name], name, flown.start.position, uri=uri)
+                    VehicleConfig(ids[name], name, (start[0], start[1], start[2]), uri=uri)
                     for name, uri in vehicles.items()
                 ),
                 "--uri",

@@ -135,14 +135,15 @@ def simulated(
         safeguard.watch(pipeline)
         listeners.frames.append(safeguard.on_frame)
 
+    stepped = 0.0
+
     def advance(now: float) -> None:
-        frames = pipeline.poll()
         nonlocal stepped
+        frames = pipeline.poll()
         if safeguard is not None and (frames or now - stepped >= _WATCH_PERIOD):
             stepped = now
             safeguard.watchdog.step()
 
-    stepped = 0.0
     arena.clock.on_advance(advance)
 
     def stage(draw: Draw) -> None:

@@ -12,14 +12,12 @@ from crazyarena.crazyswarm_compat.commands import Command
 
 
 class World(Protocol):
-    """One vehicle on a track.
+    """One vehicle on a track."""
 
-    Attributes
-    ----------
-    clock: advancing it (``sleep_until``) lets the world happen.
-    """
-
-    clock: Clock
+    @property
+    def clock(self) -> Clock:
+        """Advancing it (``sleep_until``) lets the world happen."""
+        ...
 
     def send(self, command: Command) -> None:
         """Take a command; raises CommandError for one that the vehicle could not execute."""

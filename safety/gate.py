@@ -308,8 +308,9 @@ class CommandGate:
                 memory.setpoint = _triple(fitted.position)
             else:
                 memory.setpoint = None
-            is_full = isinstance(fitted, c.FullState)
-            memory.velocity = _triple(fitted.velocity) if is_full else (0.0, 0.0, 0.0)
+            memory.velocity = (0.0, 0.0, 0.0)
+            if isinstance(fitted, c.FullState):
+                memory.velocity = _triple(fitted.velocity)
         elif isinstance(fitted, c.NotifySetpointsStop | c.Land | c.Takeoff | c.GoTo):
             memory.streaming = False
         return fitted, "; ".join(reasons)

@@ -355,7 +355,9 @@ class Watchdog:
         return obs
 
     @staticmethod
-    def _locate(obs: Observation, estimate: BodyEstimate, telemetry: Telemetry, now: float) -> None:
+    def _locate(
+        obs: Observation, estimate: BodyEstimate | None, telemetry: Telemetry, now: float
+    ) -> None:
         """Position from the cameras, or, when they are blind, from the vehicle."""
         own = telemetry.state
         if own is not None and now - own.timestamp > _TELEMETRY_GOOD:

@@ -569,7 +569,7 @@ class ArenaFleet:
     def _full_state(self, vehicle: int, m: c.FullState) -> int:
         yaw = 0.5 * float(m.yaw)
         vectors = (m.position, m.velocity, m.acceleration, m.omega)
-        milli = [_milli(float(value)) for vector in vectors for value in vector]
+        milli = [_milli(float(value)) for vector in vectors for value in np.asarray(vector)]
         quaternion = compress_quaternion((0.0, 0.0, math.sin(yaw), math.cos(yaw)))
         return self._packet(vehicle, _FULL_STATE.pack(6, *milli[:9], quaternion, *milli[9:]))
 

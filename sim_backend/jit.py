@@ -19,6 +19,10 @@ from typing import Any
 import numba
 from numba.core.types import unliteral
 
+# Numba's annotations leave these options out.
+_config: Any = numba.config
+_njit: Any = numba.njit
+
 
 def _cache_root() -> Path:
     base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
@@ -68,19 +72,19 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 
     def decorate(py_function: Callable[..., Any]) -> Any:
         nonlocal options
-        previous = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(cache_folder())
+        previous = _config.CACHE_DIR
+        _config.CACHE_DIR = str(cache_folder())
         try:
             # Nobody takes a kernel's address: doing without that entry point saves a fifth of
             # the compile time.
             # Kernels allocate nothing: without Numba's reference counts they compile and run
             # faster. One that does allocate has to say _nrt=True.
             options = {"_nrt": False, **options}
-            compiled = numba.njit(
+            compiled = _njit(
                 cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options
             )
             return _once_for_all_integers(compiled(py_function))
         finally:
-            numba.config.CACHE_DIR = previous
+            _config.CACHE_DIR = previous
 
     return decorate if function is None else decorate(function)

@@ -70,11 +70,16 @@ def nominal_track(level: Level) -> Mapping[str, Pose]:
     from crazyarena.types import Pose
 
     poses = {}
-    for kind, things in (("gate", level.track.gates), ("obstacle", level.track.obstacles)):
-        for number, thing in enumerate(things, 1):
-            half = 0.5 * thing.yaw
+    rows = {
+        "gate": [gate.row for gate in level.track.gates],
+        "obstacle": [obstacle.row for obstacle in level.track.obstacles],
+    }
+    for kind, things in rows.items():
+        for number, row in enumerate(things, 1):
+            x, y, z, _, _, yaw = row[:6]
+            half = 0.5 * yaw
             poses[f"{kind}{number}"] = Pose(
-                np.array([thing.x, thing.y, thing.z]),
+                np.array([x, y, z]),
                 np.array([0.0, 0.0, math.sin(half), math.cos(half)]),
             )
     return poses

@@ -43,9 +43,11 @@ def main(arguments: list[str]) -> None:
         # A bare record, as in wire.py, whose imports would be in the way of a quick fork.
         import struct
 
-        namespaces.split(
-            lambda pid: (channel.send(struct.pack("<cqdd", b"P", pid, 0.0, 0.0)), channel.close())
-        )
+        def tell(pid: int) -> None:
+            channel.send(struct.pack("<cqdd", b"P", pid, 0.0, 0.0))
+            channel.close()
+
+        namespaces.split(tell)
     if int(user) != os.getuid():
         os.setgroups([])
         os.setgid(int(user))
@@ -95,8 +97,8 @@ def main(arguments: list[str]) -> None:
             answer = wire.encode_answer(pilot.answer(payload))
         else:
             assert pilot is not None
-            seconds, error = pilot.hook(payload)
-            answer = wire.encode_text(wire.HOOKED, error or "", seconds=seconds)
+            seconds, trouble = pilot.hook(payload)
+            answer = wire.encode_text(wire.HOOKED, trouble or "", seconds=seconds)
         channel.send(answer)
 
 

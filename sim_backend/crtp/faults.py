@@ -16,6 +16,7 @@ import random
 import re
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 from crazyarena.errors import InputError
 from crazyarena.sim_backend.crtp.packets import Port
@@ -135,7 +136,7 @@ class Channel:
         """When the next datagram arrives, s; inf if none is under way."""
         return self._waiting[0][0] if self._waiting else math.inf
 
-    def take(self, now: float) -> list[tuple[bytes, object]]:
+    def take(self, now: float) -> list[tuple[bytes, Any]]:
         """Datagrams that have arrived by ``now``; a cut link delivers none, and loses them."""
         arrived = []
         while self._waiting and self._waiting[0][0] <= now:
