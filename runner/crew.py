@@ -110,6 +110,8 @@ class Crew:
     on_phase: told of every phase and of what it found, in plain words.
     surveyed: poses of the track by body name, from an earlier survey; None measures them.
     checks: further pre-flight checks; each returns what is wrong, in plain words.
+
+    ``interrupted()`` is asked in every phase before the run; True aborts it.
     """
 
     def __init__(
@@ -133,6 +135,8 @@ class Crew:
         self._surveyed = surveyed
         self._checks = checks
         self._home: Array | None = None
+        self._may_stop = False
+        self.interrupted: Callable[[], bool] = lambda: False
         self.durations: dict[str, float] = {}
         self.survey_report: SurveyReport | None = None
 
@@ -162,6 +166,7 @@ class Crew:
             while left > 0:
                 self._on_phase(Phase.COUNTDOWN, f"{left}")
                 clock.sleep_until(begin + self._timeouts.countdown - left + 1)
+                self._look_for_interrupt(Phase.COUNTDOWN)
                 self._keep_quiet()
                 left -= 1
 
@@ -357,10 +362,12 @@ class Crew:
 
     def abort(self) -> None:
         """Down, by the shortest way: land where it is; cut the motors if that does not work."""
+        self._may_stop = False
         try:
             self._land_here()
         except CrazyarenaError:
             self._send_quietly(cs.Emergency())
+        self._send_quietly(cs.Arm(False))
 
     def _flyable(self) -> bool:
         info = self._supervisor()
@@ -443,6 +450,8 @@ class Crew:
     def _phase(self, phase: Phase, land_on_failure: bool = True) -> Iterator[None]:
         begin = self._rig.clock.now()
         self._on_phase(phase, "")
+        # Nobody wants to interrupt a landing.
+        self._may_stop = land_on_failure
         try:
             yield
         except (BackendError, CommandError) as error:
@@ -466,9 +475,14 @@ class Crew:
         clock = self._rig.clock
         end = clock.now() + timeout
         while not condition():
+            self._look_for_interrupt(phase)
             if clock.now() >= end:
                 raise Aborted(phase, f"{complaint()} (waited {timeout:g} s)")
             clock.sleep_until(clock.now() + _TICK)
+
+    def _look_for_interrupt(self, phase: Phase) -> None:
+        if self._may_stop and self.interrupted():
+            raise Aborted(phase, "interrupted by the operator")
 
     def _estimate(self) -> BodyEstimate:
         return self._rig.pipeline.estimate(self._rig.body)

@@ -141,6 +141,8 @@ class FlightTrial:
         results: list[EpisodeResult] = []
         obs: list[Any] = []
         with Interrupt() as interrupt:
+            if self._crew is not None:
+                self._crew.interrupted = lambda: interrupt.asked
             for index in range(self._episodes):
                 result, obs = self._episode(index, random.reset(), referee, obs, interrupt)
                 results.append(result)

@@ -163,3 +163,12 @@ def test_a_tumbled_vehicle_is_not_flown_home(stand):
     crew.bring_home()
     assert any("cannot fly any more" in text for _, text in told)
     assert fleet(rig).true_pose(0).position[2] < 0.05
+
+
+def test_ctrl_c_in_the_countdown_is_an_abort(stand):
+    rig, _world, crew, _draw, told = stand()
+    crew.prepare()
+    crew.interrupted = lambda: told[-1][0] is Phase.COUNTDOWN
+    with pytest.raises(Aborted, match="countdown: interrupted"):
+        crew.launch()
+    assert fleet(rig).true_pose(0).position[2] < 0.03
