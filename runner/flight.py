@@ -167,6 +167,7 @@ class FlightTrial:
             track = self._prepare(draw)
             referee.begin(track.gates, track.obstacles)
             start = self._start(draw)
+            referee.warm_up(start)
             if not self._made:
                 obs = observation(start)
                 self._make(obs, start)

@@ -102,9 +102,11 @@ class Fly(DryRun):
         guard = world.rig.safeguard
         if guard is None or self._sources:
             return
-        self._sources.append(SocketSource(guard.estop))
+        with threads_in_front() if self._real_time else contextlib.nullcontext():
+            self._sources.append(SocketSource(guard.estop))
+            if sys.stdin.isatty():
+                self._sources.append(KeyboardSource(guard.estop))
         if sys.stdin.isatty():
-            self._sources.append(KeyboardSource(guard.estop))
             self._tell(Phase.ARM, "space stops the motors; Ctrl-C lands")
 
     def _close_sources(self) -> None:

@@ -59,13 +59,20 @@ def lower_priority() -> None:
 def threads_in_front() -> Iterator[str]:
     """Threads and processes started inside the ``with`` block run in real time, if allowed.
 
-    For those of link and cameras: a pose that waits for a processor is an old pose.
+    For those of link and cameras: a pose that waits for a processor is an old pose. Also for
+    others that share the interpreter: one that is put aside while it holds the interpreter's
+    lock keeps everybody waiting.
     """
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+    except (OSError, AttributeError):
+        before = None
     note = raise_priority(inherit=True)
     try:
         yield note
     finally:
-        lower_priority()
+        if before is not None:
+            os.sched_setscheduler(0, *before)
 
 
 @contextlib.contextmanager
