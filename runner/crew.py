@@ -25,9 +25,11 @@ from crazyarena.runner.tracked_world import TrackedWorld, roll_pitch_yaw
 from crazyarena.sim_backend.arena_world import track_truth
 from crazyarena.sim_backend.firmware.supervisor import (
     INFO_ARMED,
+    INFO_AUTO_ARM,
     INFO_CAN_ARM,
     INFO_CAN_FLY,
     INFO_CRASHED,
+    INFO_FLYING,
     INFO_LOCKED,
     INFO_TUMBLED,
 )
@@ -438,11 +440,16 @@ class Crew:
         self._send_quietly(cs.CutMotors())
         self._send_quietly(cs.Arm(False))
         self._until(
-            lambda: not self._supervisor() & INFO_ARMED or not self._flyable(),
+            lambda: self._at_rest() or not self._flyable(),
             self._timeouts.disarm,
             Phase.DISARM,
             lambda: f"vehicle {self._rig.vehicle} does not disarm; switch it off by hand",
         )
+
+    def _at_rest(self) -> bool:
+        """Disarmed; or, for firmware that arms by itself again at once, no longer flying."""
+        info = self._supervisor()
+        return not info & INFO_ARMED or (info & INFO_AUTO_ARM != 0 and not info & INFO_FLYING)
 
     # What phases are made of
 
