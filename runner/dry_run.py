@@ -6,7 +6,7 @@ import contextlib
 import datetime
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
@@ -19,19 +19,22 @@ from crazyarena.levels.schema import Level, Profile
 from crazyarena.runner.compute import FREE
 from crazyarena.runner.contender import Contender, InProcess
 from crazyarena.runner.contestant import Submission, entry_file
-from crazyarena.runner.crew import Crew, MeasuredTrack
-from crazyarena.runner.flight import FlightTrial
 from crazyarena.runner.flight_options import FlightOptions
-from crazyarena.runner.injection import Injection
 from crazyarena.runner.recording import Recorder
 from crazyarena.runner.report import provenance, table, write_result
 from crazyarena.runner.result import EpisodeResult, TrialResult
-from crazyarena.runner.safeguard import limits_for
-from crazyarena.runner.tracked_world import TrackedWorld
 from crazyarena.runner.trial import Trial
 from crazyarena.runner.world import World
-from crazyarena.safety.limits import Limits
 from crazyarena.sim_backend import jit
+
+# What only arena levels need is imported when one is flown: it would double the start-up.
+if TYPE_CHECKING:
+    from crazyarena.runner.crew import Crew, MeasuredTrack
+    from crazyarena.runner.injection import Injection
+    from crazyarena.runner.tracked_world import TrackedWorld
+    from crazyarena.safety.limits import Limits
+
+    Track = Draw | MeasuredTrack
 
 
 def example_racer() -> Path:
@@ -52,6 +55,7 @@ def make_world(level: Level, seed: int, limits: Limits | None = None) -> World:
 
         return CompetitionWorld(level.control_frequency)
     from crazyarena.runner.rig import simulated
+    from crazyarena.runner.tracked_world import TrackedWorld
 
     return TrackedWorld(simulated(level, seed, limits=limits))
 
@@ -70,9 +74,6 @@ def _results_folder(out: Path | None, submission: Path, level: Level) -> Path:
     except OSError as error:
         raise InputError(f"--out {out}: cannot make this folder: {error.strerror}") from error
     return out.resolve()
-
-
-Track = Draw | MeasuredTrack
 
 
 class _Display:
@@ -171,6 +172,8 @@ class DryRun:
 
     def _limits(self) -> Limits:
         """Of the watchdog."""
+        from crazyarena.runner.safeguard import limits_for
+
         return limits_for(self._level.control_frequency, self._options.max_misses)
 
     def _contender(self) -> Contender:
@@ -205,12 +208,16 @@ class DryRun:
             "late_commands": deadlines.policy.value,
             "max_misses": deadlines.max_misses,
         }
+        free = deadlines.compute.mode == FREE and not hasattr(world, "rig")
+        if free and isinstance(contender, InProcess):
+            return Trial(self._level, contender.submission, world, **common).run()
+        from crazyarena.runner.flight import FlightTrial
+        from crazyarena.runner.tracked_world import TrackedWorld
+
         crew = None
         if isinstance(world, TrackedWorld):
             origin["rig"] = world.rig.description
             crew = self._crew(world)
-        elif isinstance(contender, InProcess) and deadlines.compute.mode == FREE:
-            return Trial(self._level, contender.submission, world, **common).run()
         watch = world.rig.safeguard if isinstance(world, TrackedWorld) else None
         trial = FlightTrial(
             self._level,
@@ -231,9 +238,13 @@ class DryRun:
     _real_time = False
 
     def _crew(self, world: TrackedWorld) -> Crew:
+        from crazyarena.runner.crew import Crew
+
         return Crew(world.rig, world, self._level)
 
     def _injection(self, stack: contextlib.ExitStack) -> Injection:
+        from crazyarena.runner.injection import Injection
+
         return Injection()
 
     @staticmethod
