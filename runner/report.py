@@ -88,7 +88,9 @@ def table(result: TrialResult) -> Any:
 
     shown = Table(box=box.SIMPLE, header_style="bold", collapse_padding=True, pad_edge=False)
     shown.add_column("#", justify="right")
-    shown.add_column("termination", no_wrap=True)
+    # A narrow terminal may cut the other columns, never why a flight ended.
+    longest = max((len(e.termination) for e in result.episodes), default=0)
+    shown.add_column("termination", no_wrap=True, min_width=longest)
     for name in ("time s", "gates", "coll.", "viol.", "reward", "learn s"):
         shown.add_column(name, justify="right", no_wrap=True)
     shown.add_column("compute ms\np50/max", justify="right", no_wrap=True)
