@@ -17,7 +17,7 @@ import numpy as np
 
 from crazyarena import __version__
 from crazyarena.clock import Clock, WallClock
-from crazyarena.errors import CrazyarenaError, InputError
+from crazyarena.errors import CrazyarenaError
 from crazyarena.levels import dump_level
 from crazyarena.levels.draw import Draw, LevelRandom
 from crazyarena.levels.schema import Level
@@ -40,6 +40,7 @@ from crazyarena.runner.result import (
 )
 from crazyarena.runner.scene import scene_update
 from crazyarena.runner.tracked_world import TrackedWorld
+from crazyarena.runner.trial import require_firmware
 from crazyarena.runner.world import World
 
 _ENDS_TRIAL = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT, INTERRUPTED, SAFETY, ABORTED)
@@ -111,11 +112,7 @@ class FlightTrial:
         on_episode: Callable[[EpisodeResult, Recorder | None, Any], None] | None = None,
         wall: Clock | None = None,
     ) -> None:
-        if not level.use_firmware:
-            raise InputError(
-                f"level {level.name}: use_firmware is false; only firmware mode (cmdFirmware) "
-                "can be flown. Set use_firmware: true"
-            )
+        require_firmware(level)
         self._level = level
         self._contender = contender
         self._world = world

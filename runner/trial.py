@@ -29,6 +29,15 @@ from crazyarena.runner.world import World
 _ENDS_TRIAL = (CONTROLLER_ERROR, INTERRUPTED)
 
 
+def require_firmware(level: Level) -> None:
+    """Raise InputError for a level that asks for the mode without firmware."""
+    if not level.use_firmware:
+        raise InputError(
+            f"level {level.name}: use_firmware is false; only firmware mode (cmdFirmware) "
+            "can be flown. Set use_firmware: true"
+        )
+
+
 class Trial:
     """Flies ``episodes`` episodes of a level with one submission.
 
@@ -59,11 +68,7 @@ class Trial:
         on_episode: Callable[[EpisodeResult, Recorder | None, Draw], None] | None = None,
         wall: Clock | None = None,
     ) -> None:
-        if not level.use_firmware:
-            raise InputError(
-                f"level {level.name}: use_firmware is false; only firmware mode (cmdFirmware) "
-                "can be flown. Set use_firmware: true"
-            )
+        require_firmware(level)
         self._level = level
         self._submission = submission
         self._world = world

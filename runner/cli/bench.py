@@ -10,12 +10,17 @@ import typer
 
 from crazyarena.runner.cli.common import (
     EXIT_NOT_CLEAN,
+    AnySubmission,
+    ArenaLevel,
     Compute,
     ComputeFactor,
     Late,
     LateChoice,
     MaxMisses,
+    Out,
+    Overrides,
     RequireSandbox,
+    Seed,
     bad_input_exits,
 )
 
@@ -25,17 +30,12 @@ def register(app: typer.Typer) -> None:
 
 
 def bench(
-    submission: Annotated[
-        Path | None, typer.Argument(help="As for dry-run. Default: the example racer.")
-    ] = None,
-    level: Annotated[str, typer.Option(help="Arena level, or a level file.")] = "sim2real",
+    submission: AnySubmission = None,
+    level: ArenaLevel = "sim2real",
     runs: Annotated[int, typer.Option(min=1, max=100, help="How many, on the same draw.")] = 1,
-    seed: Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Results folder.")] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="FIELD=VALUE", help="Override a field of the level."),
-    ] = None,
+    seed: Seed = None,
+    out: Out = None,
+    set_: Overrides = None,
     dry: Annotated[
         bool, typer.Option("--dry/--no-dry", help="Fly the dry runs too, and compare.")
     ] = True,

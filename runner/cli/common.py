@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -42,6 +43,16 @@ class LateChoice(StrEnum):
         return LatePolicy(self.value)
 
 
+AnySubmission = Annotated[
+    Path | None, typer.Argument(help="As for dry-run. Default: the example racer.")
+]
+ArenaLevel = Annotated[str, typer.Option(help="Arena level, or a level file.")]
+Seed = Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")]
+Out = Annotated[Path | None, typer.Option(help="Results folder.")]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="FIELD=VALUE", help="Override a field of the level."),
+]
 Compute = Annotated[
     str | None,
     typer.Option(

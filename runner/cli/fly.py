@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from crazyarena.runner.cli.common import (
     EXIT_NOT_CLEAN,
+    AnySubmission,
+    ArenaLevel,
     Compute,
     ComputeFactor,
     Late,
     LateChoice,
     MaxMisses,
+    Out,
+    Overrides,
     RequireSandbox,
+    Seed,
     bad_input_exits,
 )
 from crazyarena.runner.cli.mocap_options import HOST_HELP, OPTION_HELP, SOURCE_HELP
@@ -33,10 +37,8 @@ def register(app: typer.Typer) -> None:
 
 
 def fly(
-    submission: Annotated[
-        Path | None, typer.Argument(help="As for dry-run. Default: the example racer.")
-    ] = None,
-    level: Annotated[str, typer.Option(help="Arena level, or a level file.")] = "sim2real",
+    submission: AnySubmission = None,
+    level: ArenaLevel = "sim2real",
     backend: Annotated[
         BackendChoice, typer.Option(help="radio flies; sim is the dry run of the same line.")
     ] = BackendChoice.RADIO,
@@ -62,12 +64,9 @@ def fly(
         typer.Option(metavar="ENDPOINT", help="Zenoh endpoint to publish the trial on."),
     ] = None,
     episodes: Annotated[int | None, typer.Option(min=1)] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Results folder.")] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="FIELD=VALUE", help="Override a field of the level."),
-    ] = None,
+    seed: Seed = None,
+    out: Out = None,
+    set_: Overrides = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before arming.")] = False,
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode.")] = True,
     figure: Annotated[bool, typer.Option(help="Write a PNG an episode.")] = True,
