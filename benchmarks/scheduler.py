@@ -5,7 +5,10 @@ contestant and has the watchdog on. At the same time two plain loops keep 30 Hz 
 their own: ``sleep(1/30 - elapsed)``, and one that remembers when it should have woken, as
 ``rospy.Rate`` does. All of them idle, and again with every CPU busy.
 
-Lateness is that of tick k against t0 + k/30. Run
+``late`` is tick k against t0 + k/30, in ms. Of ours, ``machine`` is how late the wake-up itself
+was and ``ours`` the rest, up to the first line of Python; the plain loops are alone in their
+processes, so that theirs is the machine's. The naive loop drifts, which is most of its
+lateness; ``period`` compares every tick with the one before it instead. Run
 ``python benchmarks/scheduler.py [--minutes 10] [--only idle|loaded]``.
 """
 
@@ -28,6 +31,7 @@ from crazyarena.levels.schema import Level
 from crazyarena.mocap.zenoh_link import ZenohSource
 from crazyarena.runner.fly import Fly
 from crazyarena.runner.hardware import connected
+from crazyarena.runner.result import percentiles_ms
 from crazyarena.runner.rig import Rig
 from crazyarena.runner.virtual_arena import VirtualArena
 from crazyarena.safety.limits import Limits
@@ -59,30 +63,29 @@ def burn(seconds: float) -> None:
 
 def naive(seconds: float, out: Connection) -> None:
     """``sleep(1/30 - elapsed)``."""
-    late = []
-    t0 = time.monotonic()
-    for k in range(1, int(seconds * RATE)):
+    ticks = [time.monotonic()]
+    for _ in range(1, int(seconds * RATE)):
         begun = time.monotonic()
         burn(WORK)
         elapsed = time.monotonic() - begun
         time.sleep(max(0.0, 1.0 / RATE - elapsed))
-        late.append(time.monotonic() - (t0 + k / RATE))
-    out.send(late)
+        ticks.append(time.monotonic())
+    out.send(ticks)
 
 
 def remembering(seconds: float, out: Connection) -> None:
     """As rospy.Rate: sleeps to the next multiple, forgets the past when it is far behind."""
-    late = []
-    t0 = last = time.monotonic()
+    last = time.monotonic()
+    ticks = [last]
     period = 1.0 / RATE
-    for k in range(1, int(seconds * RATE)):
+    for _ in range(1, int(seconds * RATE)):
         burn(WORK)
         time.sleep(max(0.0, last + period - time.monotonic()))
         last += period
         if time.monotonic() - last > 2.0 * period:
             last = time.monotonic()
-        late.append(time.monotonic() - (t0 + k / RATE))
-    out.send(late)
+        ticks.append(time.monotonic())
+    out.send(ticks)
 
 
 def spin(stop: Any) -> None:
@@ -90,15 +93,18 @@ def spin(stop: Any) -> None:
         burn(0.05)
 
 
-def milliseconds(late: list[float]) -> dict[str, float]:
-    values = 1e3 * np.array(late)
-    p50, p99, p999 = np.percentile(values, [50, 99, 99.9])
+def plain(ticks: list[float]) -> dict[str, dict[str, float]]:
+    """Percentiles of the lateness and of the error of the period, ms."""
+    times = np.array(ticks)
+    late = times - (times[0] + np.arange(len(times)) / RATE)
     return {
-        "p50": float(p50),
-        "p99": float(p99),
-        "p99.9": float(p999),
-        "max": float(values.max()),
+        "late": shown(percentiles_ms(late[1:])),
+        "period": shown(percentiles_ms(np.diff(times) - 1.0 / RATE)),
     }
+
+
+def shown(percentiles: dict[str, float]) -> dict[str, float]:
+    return {k: round(v, 3) for k, v in percentiles.items() if k not in ("p90", "mean")}
 
 
 def fly(seconds: float, folder: Path) -> dict[str, Any]:
@@ -165,7 +171,11 @@ def measure(seconds: float, loaded: bool) -> dict[str, Any]:
     result: dict[str, Any] = {
         "loaded": loaded,
         "load_average": os.getloadavg()[0],
-        "crazyarena": {k: v for k, v in episode["late_ms"].items() if k not in ("p90", "mean")},
+        "crazyarena": {
+            "late": shown(episode["late_ms"]),
+            "machine": shown(episode["late_machine_ms"]),
+            "ours": shown(episode["late_own_ms"]),
+        },
         "ticks": episode["steps"],
         "skipped_by_us": episode["skipped_steps"],
         "missed_by_contestant": episode["missed_ticks"],
@@ -176,7 +186,7 @@ def measure(seconds: float, loaded: bool) -> dict[str, Any]:
         "arena": episode["arena"],
     }
     for name, (process, ours) in others.items():
-        result[name] = milliseconds(ours.recv())
+        result[name] = plain(ours.recv())
         process.join()
     stop.set()
     for spinner in spinners:

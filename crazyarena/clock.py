@@ -27,13 +27,19 @@ class Clock(Protocol):
 
 
 class WallClock:
-    """Monotonic wall time. Safe to share between threads."""
+    """Monotonic wall time. Safe to share between threads.
 
-    def __init__(self) -> None:
-        self._origin = time.monotonic()
+    Parameters
+    ----------
+    origin: :func:`time.monotonic` at which the clock shows 0; now by default. Processes of one
+        machine that are given the same origin share the clock.
+    """
+
+    def __init__(self, origin: float | None = None) -> None:
+        self.origin = time.monotonic() if origin is None else origin
 
     def now(self) -> float:
-        return time.monotonic() - self._origin
+        return time.monotonic() - self.origin
 
     def sleep_until(self, deadline: float) -> float:
         remaining = deadline - self.now()
@@ -46,12 +52,14 @@ class VirtualClock:
     """Time that passes only when somebody waits for it.
 
     Simulations register with :meth:`on_advance`; ``sleep_until`` calls each of them, in the
-    order of registration, with the new time before it returns.
+    order of registration, with the new time before it returns. Whoever must not miss a moment
+    in between names it with :meth:`stop_at`.
     """
 
     def __init__(self) -> None:
         self._now = 0.0
         self._advance: list[Callable[[float], None]] = []
+        self._next: list[Callable[[], float]] = []
         self._lock = threading.RLock()
 
     def now(self) -> float:
@@ -62,10 +70,16 @@ class VirtualClock:
         self._advance.append(advance)
         return lambda: self._advance.remove(advance)
 
+    def stop_at(self, next_event: Callable[[], float]) -> Callable[[], None]:
+        """Stop at ``next_event()`` (s) on every way past it; returns what unregisters."""
+        self._next.append(next_event)
+        return lambda: self._next.remove(next_event)
+
     def sleep_until(self, deadline: float) -> float:
         with self._lock:
-            if deadline > self._now:
-                self._now = deadline
+            while self._now < deadline:
+                coming = min((event() for event in self._next), default=deadline)
+                self._now = coming if self._now < coming < deadline else deadline
                 for advance in self._advance:
-                    advance(deadline)
+                    advance(self._now)
             return 0.0

@@ -318,6 +318,7 @@ class ControlLoop:
     def _result(self, reason: str) -> EpisodeResult:
         learned = np.array(self._learn_seconds)
         total = float(learned.sum())
+        machine, own = self._scheduler.shares
         return EpisodeResult(
             index=self._index,
             termination=reason,
@@ -337,6 +338,8 @@ class ControlLoop:
             over_period=self._overruns,
             late_ms=percentiles_ms(self._scheduler.lateness),
             skipped_steps=self._scheduler.skipped,
+            late_machine_ms=percentiles_ms(machine),
+            late_own_ms=percentiles_ms(own),
             missed_ticks=self._missed,
             late_commands=self._late,
             answer_ms=percentiles_ms(np.array(self._seconds)),

@@ -12,6 +12,7 @@ from crazyarena.levels.schema import Level
 from crazyarena.mocap.source import PoseSource
 from crazyarena.runner.rig import EXTERNAL_POSE_RATE, Rig, make_pipeline
 from crazyarena.runner.safeguard import Safeguard
+from crazyarena.runner.wakeup import StampedClock
 from crazyarena.safety.limits import Limits
 
 OpenSource = Callable[[WallClock], PoseSource]
@@ -49,7 +50,7 @@ def connected(
     from crazyarena.crazyswarm_compat.radio.outbox import OutboxOptions
 
     body = body or f"cf{vehicle}"
-    clock = WallClock()
+    clock = StampedClock()
     start = level.start.position
     config = VehicleConfig(
         id=vehicle, name=body, initial_position=(start[0], start[1], start[2]), uri=uri

@@ -26,7 +26,9 @@ class EpisodeResult:
 
     flight_time is that of the last control step's start, as the competition counts it.
     collisions and violations count control steps; compute_ms are percentiles of the wall time
-    of ``cmdFirmware``; late_ms of the start of control steps; answer_ms from question to answer.
+    of ``cmdFirmware``; late_ms of the start of control steps, of which late_machine_ms is what
+    the machine caused by waking the loop late, and late_own_ms the rest (wall time only);
+    answer_ms from question to answer.
     missed_ticks: control steps in which no command of the contestant was applied;
     late_commands: commands applied at a later tick than their own; phases: s by name.
     reveals: when which gate's exact pose was told.
@@ -50,6 +52,8 @@ class EpisodeResult:
     over_period: int
     late_ms: dict[str, float]
     skipped_steps: int
+    late_machine_ms: dict[str, float] = field(default_factory=dict)
+    late_own_ms: dict[str, float] = field(default_factory=dict)
     missed_ticks: int = 0
     late_commands: int = 0
     answer_ms: dict[str, float] = field(default_factory=dict)

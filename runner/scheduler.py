@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crazyarena.clock import Clock
+from crazyarena.runner.wakeup import StampedClock
 
 
 class Scheduler:
@@ -25,7 +26,8 @@ class Scheduler:
             raise ValueError(f"rate is {rate}; expected more than 0 Hz")
         self._clock = clock
         self._rate = rate
-        self._late = np.zeros(1024)
+        self._stamped = clock if isinstance(clock, StampedClock) else None
+        self._late = np.zeros((1024, 2))
         self._count = 0
         self.start()
 
@@ -51,11 +53,20 @@ class Scheduler:
         self.step = step
         if self._count == len(self._late):
             self._late = np.concatenate([self._late, np.zeros_like(self._late)])
-        self._late[self._count] = late
+        machine = np.nan if self._stamped is None else self._stamped.machine_late
+        self._late[self._count] = late, machine
         self._count += 1
         return late
 
     @property
     def lateness(self) -> NDArray[np.float64]:
         """Lateness of every wake-up since :meth:`start`, s."""
-        return self._late[: self._count].copy()
+        return self._late[: self._count, 0].copy()
+
+    @property
+    def shares(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lateness that the machine caused by waking us late, and what we added ourselves, s;
+        of the steps that were slept for, on a clock that can tell."""
+        late, machine = self._late[: self._count].T
+        known = ~np.isnan(machine)
+        return machine[known], late[known] - machine[known]
