@@ -22,6 +22,7 @@ from crazyarena.runner.fly import Fly
 from crazyarena.runner.hardware import connected
 from crazyarena.runner.result import TrialResult
 from crazyarena.runner.rig import Rig
+from crazyarena.runner.stops import StopOptions
 from crazyarena.runner.virtual_arena import VirtualArena
 from crazyarena.safety.limits import Limits
 
@@ -48,6 +49,7 @@ class Bench:
     out: results folder; ``bench_<i>`` and ``dry_<i>`` are made in it.
     runs: how many of each, all on the same draw of the level; measurement noise differs.
     dry: fly the dry runs and compare.
+    stops: what stops the flights in real time besides the watchdog.
     """
 
     def __init__(
@@ -64,6 +66,7 @@ class Bench:
         real_time: bool = True,
         figure: bool = True,
         console: Console | None = None,
+        stops: StopOptions | None = None,
     ) -> None:
         self._submission = submission
         self._level = level
@@ -72,6 +75,7 @@ class Bench:
         self._seed = seed
         self._dry = dry
         self._real_time = real_time
+        self._stops = stops
         self._console = console if console is not None else Console()
         self._common: dict[str, Any] = {
             "overrides": overrides or [],
@@ -135,6 +139,7 @@ class Bench:
             open_rig=open_rig,
             yes=True,
             real_time=self._real_time,
+            stops=self._stops,
             **self._common,
         )
         flown = fly.run()

@@ -22,6 +22,7 @@ from crazyarena.mocap.estimator import BodyEstimate, FrameResult, Freshness
 from crazyarena.mocap.survey import SurveyConfig, SurveyReport, survey
 from crazyarena.runner.rig import Rig
 from crazyarena.runner.tracked_world import TrackedWorld, roll_pitch_yaw
+from crazyarena.safety.estop import Hold
 from crazyarena.sim_backend.arena_world import track_truth
 from crazyarena.sim_backend.firmware.supervisor import (
     INFO_ARMED,
@@ -44,6 +45,7 @@ _PEAK_SPEED = 1.0  # m/s on the way home
 _PEAK_OVER_MEAN = 35.0 / 16.0  # of the firmware's rest-to-rest polynomial
 _DESCENT = 0.3  # m/s
 _ABOVE_TRACK = 0.35  # m above the highest gate, on the way home
+_GRIP_TIME = 1.0  # s of holding the dead-man's key until it is believed
 _DOWN = 0.08  # m: what is lower stands on the ground
 # Flown with the controller that full-state setpoints were made for, fed by external poses.
 FIRMWARE_PARAMS = (
@@ -84,6 +86,7 @@ class Timeouts:
     connect: float = 20.0
     preflight: float = 30.0
     survey: float = 15.0
+    grip: float = 30.0
     arm: float = 5.0
     countdown: float = 3.0
     land: float = 30.0
@@ -99,6 +102,22 @@ class MeasuredTrack:
     source: str
 
 
+@dataclass(frozen=True, slots=True)
+class Grip:
+    """What the operator has to hold from arming until the vehicle is down.
+
+    ``what`` in words; ``limit`` s: the longest silence that still counts as holding.
+    """
+
+    hold: Hold
+    what: str
+    limit: float
+
+    @property
+    def held(self) -> bool:
+        return self.hold.age() <= self.limit
+
+
 Confirm = Callable[[str], bool]
 OnPhase = Callable[[Phase, str], None]
 
@@ -112,6 +131,9 @@ class Crew:
     on_phase: told of every phase and of what it found, in plain words.
     surveyed: poses of the track by body name, from an earlier survey; None measures them.
     checks: further pre-flight checks; each returns what is wrong, in plain words.
+    anywhere: the vehicle need not stand at the level's start.
+
+    ``grip`` is what the operator must hold, if anything; it is looked at from arming on.
 
     ``interrupted()`` is asked in every phase before the run; True aborts it.
     """
@@ -127,6 +149,7 @@ class Crew:
         timeouts: Timeouts | None = None,
         surveyed: dict[str, Pose] | None = None,
         checks: tuple[Callable[[], list[str]], ...] = (),
+        anywhere: bool = False,
     ) -> None:
         self._rig = rig
         self._world = world
@@ -136,6 +159,8 @@ class Crew:
         self._timeouts = timeouts or Timeouts()
         self._surveyed = surveyed
         self._checks = checks
+        self._anywhere = anywhere
+        self.grip: Grip | None = None
         self._home: Array | None = None
         self._may_stop = False
         self.interrupted: Callable[[], bool] = lambda: False
@@ -160,6 +185,7 @@ class Crew:
             name = f"vehicle {self._rig.vehicle}"
             if not self._confirm(f"Arm {name} and start the run on {self._level.name}?"):
                 raise Aborted(Phase.ARM, "the operator said no")
+            self._await_grip()
             self._arm()
         with self._phase(Phase.COUNTDOWN):
             clock = self._rig.clock
@@ -167,10 +193,41 @@ class Crew:
             left = math.ceil(self._timeouts.countdown)
             while left > 0:
                 self._on_phase(Phase.COUNTDOWN, f"{left}")
-                clock.sleep_until(begin + self._timeouts.countdown - left + 1)
-                self._look_for_interrupt(Phase.COUNTDOWN)
+                self._wait_quietly(begin + self._timeouts.countdown - left + 1)
                 self._keep_quiet()
                 left -= 1
+
+    def _wait_quietly(self, deadline: float) -> None:
+        """Sleep, in short naps if the operator may let go meanwhile."""
+        clock = self._rig.clock
+        while self.grip is not None and clock.now() < deadline - _TICK:
+            clock.sleep_until(clock.now() + _TICK)
+            if not self.grip.held:
+                raise Aborted(Phase.COUNTDOWN, f"the operator let go of {self.grip.what}")
+        clock.sleep_until(deadline)
+        self._look_for_interrupt(Phase.COUNTDOWN)
+
+    def _await_grip(self) -> None:
+        """Until the operator has held on for a while: a key that repeats begins with a pause."""
+        grip, clock = self.grip, self._rig.clock
+        if grip is None:
+            return
+        self._on_phase(
+            Phase.ARM,
+            f"hold {grip.what} now, and until the vehicle is down and disarmed: it lands "
+            f"{grip.limit:g} s after you let go",
+        )
+        since = math.nan
+
+        def steady() -> bool:
+            nonlocal since
+            if not grip.held:
+                since = math.nan
+            elif math.isnan(since):
+                since = clock.now()
+            return clock.now() - since >= _GRIP_TIME
+
+        self._until(steady, self._timeouts.grip, Phase.ARM, lambda: f"nobody holds {grip.what}")
 
     def _connect(self) -> None:
         rig = self._rig
@@ -243,7 +300,7 @@ class Crew:
         start = self._level.start
         wanted = np.array(start.position[:2])
         away = float(np.linalg.norm(position[:2] - wanted))
-        allowed = start.tolerance
+        allowed = math.inf if self._anywhere else start.tolerance
         if away > allowed:
             raise Aborted(
                 Phase.PREFLIGHT,
@@ -346,6 +403,7 @@ class Crew:
                 self._return()
         except Aborted as error:
             problem = error
+            self._come_down()
         with self._phase(Phase.DISARM, land_on_failure=False):
             self._disarm()
         if problem is not None:
@@ -361,15 +419,23 @@ class Crew:
                 Phase.DISARM,
                 lambda: f"the vehicle is still {self._height():.2f} m high",
             )
+        self._may_let_go()
 
     def abort(self) -> None:
         """Down, by the shortest way: land where it is; cut the motors if that does not work."""
         self._may_stop = False
+        self._come_down()
+        self._send_quietly(cs.Arm(False))
+
+    def _come_down(self) -> None:
+        """By the watchdog if it has the vehicle, else where it is; motors off if that fails."""
+        guard = self._rig.safeguard
+        if guard is not None and guard.verdict() is not None and guard.end():
+            return
         try:
             self._land_here()
         except CrazyarenaError:
             self._send_quietly(cs.Emergency())
-        self._send_quietly(cs.Arm(False))
 
     def _flyable(self) -> bool:
         info = self._supervisor()
@@ -445,6 +511,11 @@ class Crew:
             Phase.DISARM,
             lambda: f"vehicle {self._rig.vehicle} does not disarm; switch it off by hand",
         )
+        self._may_let_go()
+
+    def _may_let_go(self) -> None:
+        if self.grip is not None:
+            self._on_phase(Phase.DISARM, f"you may let go of {self.grip.what}")
 
     def _at_rest(self) -> bool:
         """Disarmed; or, for firmware that arms by itself again at once, no longer flying."""

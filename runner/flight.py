@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -42,6 +43,7 @@ from crazyarena.runner.scene import scene_update
 from crazyarena.runner.tracked_world import TrackedWorld
 from crazyarena.runner.trial import require_firmware
 from crazyarena.runner.world import World
+from crazyarena.safety.estop import interrupt_policy
 
 _ENDS_TRIAL = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT, INTERRUPTED, SAFETY, ABORTED)
 
@@ -75,6 +77,10 @@ class Watch(Protocol):
 
     def events(self) -> list[Event]:
         """What happened since the last call."""
+        ...
+
+    def stop(self, source: str, reason: str) -> None:
+        """Stop the motors at once; any thread."""
         ...
 
 
@@ -137,7 +143,7 @@ class FlightTrial:
         referee = Referee(self._level)
         results: list[EpisodeResult] = []
         obs: list[Any] = []
-        with Interrupt() as interrupt:
+        with self._interruptible() as interrupt:
             if self._crew is not None:
                 self._crew.interrupted = lambda: interrupt.asked
             for index in range(self._episodes):
@@ -150,6 +156,22 @@ class FlightTrial:
                     if result.error is not None:
                         break
         return TrialResult(results, self._episodes)
+
+    @contextlib.contextmanager
+    def _interruptible(self) -> Iterator[Interrupt]:
+        """Ctrl-C ends the run; where there is a vehicle, once more stops its motors."""
+        interrupt = Interrupt()
+        main = threading.current_thread() is threading.main_thread()
+        if self._watch is None or not main:
+            with interrupt:
+                yield interrupt
+            return
+
+        def land(name: str) -> None:
+            interrupt.asked = True
+
+        with interrupt_policy(land, self._watch.stop):
+            yield interrupt
 
     def _episode(
         self,
@@ -266,10 +288,7 @@ class FlightTrial:
             if result.termination == CONTROLLER_TIMEOUT:
                 watch.hand_over("controller_timeout")
             taken = watch.end()
-            for event in watch.events():
-                result.events = [*result.events, event]
-                if recorder is not None:
-                    recorder.event(event.time, event.tick, event.name, event.detail)
+            self._take_events(watch, result, recorder)
         if crew is not None:
             try:
                 if taken:
@@ -280,9 +299,18 @@ class FlightTrial:
                 crew.abort()
                 result.error = "\n".join(filter(None, (result.error, str(error))))
                 self._note(recorder, result, "return aborted", str(error))
+            if watch is not None:
+                self._take_events(watch, result, recorder)
             for phase, seconds in crew.durations.items():
                 self._note(recorder, result, "phase", f"{phase}: {seconds:.2f} s")
         return result, obs
+
+    @staticmethod
+    def _take_events(watch: Watch, result: EpisodeResult, recorder: Recorder | None) -> None:
+        for event in watch.events():
+            result.events = [*result.events, event]
+            if recorder is not None:
+                recorder.event(event.time, event.tick, event.name, event.detail)
 
     def _note(
         self, recorder: Recorder | None, result: EpisodeResult, name: str, detail: str

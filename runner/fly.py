@@ -10,11 +10,12 @@ from typing import Any
 from crazyarena.errors import InputError
 from crazyarena.levels.schema import Level, Profile
 from crazyarena.mocap.survey import read_track
-from crazyarena.runner.crew import Crew, Phase
+from crazyarena.runner.crew import Crew, Grip, Phase
 from crazyarena.runner.dry_run import DryRun
 from crazyarena.runner.injection import DEFAULT_PREFIX, Injection, ZenohOutlet
 from crazyarena.runner.realtime import threads_in_front
 from crazyarena.runner.rig import Rig
+from crazyarena.runner.stops import StopOptions, Stops, open_stops
 from crazyarena.runner.tracked_world import TrackedWorld
 from crazyarena.runner.world import World
 from crazyarena.safety.limits import Limits
@@ -33,6 +34,11 @@ class Fly(DryRun):
     surveyed: file of an earlier survey; None measures the track.
     publish: zenoh endpoints (``connect``, ``listen``) to tell of the track and of what the
         contestant is told; None keeps it in the recording alone.
+    stops: what stops the flight besides the watchdog.
+
+    Raises
+    ------
+    InputError, DependencyMissing: an option is wrong or asks for what is not there.
     """
 
     def __init__(
@@ -43,6 +49,7 @@ class Fly(DryRun):
         surveyed: str | None = None,
         publish: dict[str, list[str]] | None = None,
         real_time: bool = True,
+        stops: StopOptions | None = None,
         **options: Any,
     ) -> None:
         super().__init__(*arguments, **options)
@@ -58,14 +65,20 @@ class Fly(DryRun):
         self._surveyed: dict[str, Pose] | None = None if surveyed is None else read_track(surveyed)
         self._publish = publish
         self._real_time = real_time
-        self._sources: list[Any] = []
+        self._stop_options = stops or StopOptions()
+        self._stop_options.check()
+        self._stops: Stops | None = None
+        self._keys: Stops | None = None
 
     def _make_world(self) -> World:
-        with threads_in_front() if self._real_time else contextlib.nullcontext():
+        with self._in_front():
             return TrackedWorld(self._open_rig(self._level, self._limits()))
 
+    def _in_front(self) -> contextlib.AbstractContextManager[Any]:
+        return threads_in_front() if self._real_time else contextlib.nullcontext()
+
     def _crew(self, world: TrackedWorld) -> Crew:
-        return Crew(
+        crew = Crew(
             world.rig,
             world,
             self._level,
@@ -73,9 +86,11 @@ class Fly(DryRun):
             on_phase=self._tell,
             surveyed=self._surveyed,
         )
+        self._listen_for_stops(world, crew)
+        return crew
 
     def _injection(self, stack: contextlib.ExitStack) -> Injection:
-        stack.callback(self._close_sources)
+        stack.callback(self._close_stops)
         if self._publish is None:
             return Injection()
         outlet = ZenohOutlet(DEFAULT_PREFIX, **self._publish)
@@ -87,28 +102,49 @@ class Fly(DryRun):
         self._console.print(line, highlight=False, markup=False)
 
     def _confirm(self, question: str, world: TrackedWorld) -> bool:
+        self._close_keys()  # they belong to the question now
         if not self._yes:
             if not sys.stdin.isatty():
                 raise InputError("fly: nobody can answer here. Pass --yes to start without asking")
             if not self._console.input(f"{question} [y/N] ").strip().lower().startswith("y"):
                 return False
-        self._listen_for_stops(world)
+        self._listen_for_keys(world)
         return True
 
-    def _listen_for_stops(self, world: TrackedWorld) -> None:
-        """``crazyarena estop`` from another shell, and the terminal's keys."""
-        from crazyarena.safety.estop_sources import KeyboardSource, SocketSource
-
+    def _listen_for_stops(self, world: TrackedWorld, crew: Crew) -> None:
+        """Everything but the terminal's keys, which first have a question to answer."""
         guard = world.rig.safeguard
-        if guard is None or self._sources:
+        if guard is None:
             return
-        with threads_in_front() if self._real_time else contextlib.nullcontext():
-            self._sources.append(SocketSource(guard.estop))
-            if sys.stdin.isatty():
-                self._sources.append(KeyboardSource(guard.estop))
-        if sys.stdin.isatty():
-            self._tell(Phase.ARM, "space stops the motors; Ctrl-C lands")
+        options = self._stop_options
+        with self._in_front():
+            self._stops = open_stops(options.without_keyboard(), guard.estop, world.rig.clock)
+        for note in self._stops.notes:
+            self._tell(Phase.CONNECT, note)
+        if options.dead_man is not None and self._stops.dead_man is not None:
+            guard.must_hold(self._stops.dead_man)
+            limit = guard.watchdog.limits.dead_man
+            crew.grip = Grip(self._stops.dead_man, options.dead_man.hold, limit)
 
-    def _close_sources(self) -> None:
-        while self._sources:
-            self._sources.pop().close()
+    def _listen_for_keys(self, world: TrackedWorld) -> None:
+        guard = world.rig.safeguard
+        options = self._stop_options.only_keyboard()
+        if guard is None or self._stops is None or not options.keyboard:
+            return
+        with self._in_front():
+            self._keys = open_stops(
+                options, guard.estop, world.rig.clock, dead_man=self._stops.dead_man
+            )
+        for note in self._keys.notes:
+            self._tell(Phase.ARM, note)
+
+    def _close_keys(self) -> None:
+        if self._keys is not None:
+            self._keys.close()
+            self._keys = None
+
+    def _close_stops(self) -> None:
+        self._close_keys()
+        if self._stops is not None:
+            self._stops.close()
+            self._stops = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,7 +11,7 @@ from crazyarena.levels.schema import Level
 from crazyarena.mocap.estimator import FrameResult
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.runner.referee import Event
-from crazyarena.safety.estop import EmergencyStop
+from crazyarena.safety.estop import EmergencyStop, Hold
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.gate import CommandGate
@@ -42,6 +41,7 @@ class Safeguard:
     ----------
     backend: the vehicle link itself.
     feed: feeds the vehicle's own emergency-stop watchdog; None if it has none.
+    dead_man: what the operator holds while the vehicle flies; None for nothing.
     """
 
     def __init__(
@@ -54,7 +54,9 @@ class Safeguard:
         *,
         limits: Limits | None = None,
         feed: Callable[[int], None] | None = None,
+        dead_man: Hold | None = None,
     ) -> None:
+        self._dead_man = dead_man
         self._clock = clock
         self._vehicle = vehicle
         self._body = body
@@ -85,6 +87,7 @@ class Safeguard:
             pipeline.estimate,
             feed=self._feed,
             estop=self.estop,
+            dead_man=self._dead_man,
             on_event=self._told.append,
         )
 
@@ -92,6 +95,12 @@ class Safeguard:
     def watchdog(self) -> Watchdog:
         assert self._watchdog is not None, "watch() comes first"
         return self._watchdog
+
+    def must_hold(self, dead_man: Hold | None) -> None:
+        """Land the vehicle from now on when the operator lets go."""
+        self._dead_man = dead_man
+        if self._watchdog is not None:
+            self._watchdog.dead_man = dead_man
 
     def on_frame(self, frame: PoseFrame, result: FrameResult) -> None:
         """For the pipeline."""
@@ -121,9 +130,10 @@ class Safeguard:
         cause = next((e for e in self._told if e.severity.takes_over), None)
         if cause is None:
             return "the watchdog has taken over"
-        numbers = "" if math.isnan(cause.measured) else f" ({cause.measured:.3g}, limit "
-        numbers += "" if math.isnan(cause.measured) else f"{cause.limit:.3g})"
-        return f"the watchdog has taken over: {cause.rule}{numbers} {cause.detail}".rstrip()
+        return f"the watchdog has taken over: {cause.cause}"
+
+    def stop(self, source: str, reason: str) -> None:
+        self.estop.trigger(source, reason)
 
     def hand_over(self, rule: str) -> None:
         self.watchdog.request(Action.HOLD, rule, self._vehicle)

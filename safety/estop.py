@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import queue
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -37,6 +38,20 @@ class Stop:
     source: str
     reason: str
     time: float
+
+
+class StopButton(Protocol):
+    """What sources pull: an :class:`EmergencyStop`, or what passes it on to one elsewhere."""
+
+    def trigger(self, source: str, reason: str = "") -> None: ...
+
+    def tested(self) -> None: ...
+
+
+class Hold(Protocol):
+    """What says whether the operator holds on: a :class:`DeadMan`, or what asks one elsewhere."""
+
+    def age(self) -> float: ...
 
 
 class EmergencyStop:
@@ -87,9 +102,10 @@ class EmergencyStop:
         with contextlib.suppress(RuntimeError):
             self._thread.start()
 
-    def tested(self) -> None:
-        """Note that an operator tried a source in rehearsal mode (see the pre-flight checks)."""
-        self.last_test = self._clock.now()
+    def tested(self, ago: float = 0.0) -> None:
+        """Note that an operator tried a source in rehearsal mode, ``ago`` s ago."""
+        before = -math.inf if self.last_test is None else self.last_test
+        self.last_test = max(self._clock.now() - ago, before)
 
     def _send(self) -> None:
         for link in self._links:
@@ -134,22 +150,52 @@ class DeadMan:
         return self._clock.now() - self._last
 
 
+class Rehearsal:
+    """Stands in for an emergency stop before a flight: a pulled source counts as tried.
+
+    Parameters
+    ----------
+    on_test: told of each source that was tried, in its thread.
+    """
+
+    def __init__(self, stop: EmergencyStop, on_test: Callable[[str], None] | None = None) -> None:
+        self._stop = stop
+        self._on_test = on_test
+
+    def trigger(self, source: str, reason: str = "") -> None:
+        """Stops nothing."""
+        self._stop.tested()
+        if self._on_test is not None:
+            self._on_test(source)
+
+    def tested(self) -> None:
+        """As :meth:`EmergencyStop.tested`."""
+        self.trigger("shell")
+
+
 @contextlib.contextmanager
 def interrupt_policy(
     land: Callable[[str], None], stop: Callable[[str, str], None]
 ) -> Iterator[None]:
-    """Ctrl-C (or SIGTERM) lands; once more stops.
+    """Ctrl-C (or SIGTERM) lands; once more stops; from the third on it also interrupts.
 
     Only in the main thread, where Python delivers signals; the handlers of before come back.
 
     Parameters
     ----------
     land: called with a reason at the first signal; must not block.
-    stop: called with (source, reason) at every further one.
+    stop: called with (source, reason) at every further one, in a thread of its own: the main
+        thread may have been interrupted holding a lock that the link needs.
     """
     if threading.current_thread() is not threading.main_thread():
         raise InputError("the policy for Ctrl-C can only be installed by the main thread")
     count = 0
+    # The one queue that may be filled from a signal handler.
+    wishes: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+
+    def pull() -> None:
+        while (name := wishes.get()) is not None:
+            stop("signal", name)
 
     def handle(number: int, frame: Any) -> None:
         nonlocal count
@@ -158,11 +204,17 @@ def interrupt_policy(
         if count == 1:
             land(name)
         else:
-            stop("signal", name)
+            wishes.put(name)
+        if count > 2:
+            raise KeyboardInterrupt
 
+    thread = threading.Thread(target=pull, name="estop-signal", daemon=True)
+    thread.start()
     previous = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
+        wishes.put(None)
+        thread.join(timeout=1.0)

@@ -1,6 +1,7 @@
 """Where an emergency stop comes from: keyboard, gamepad, another shell, the network.
 
-Each source runs in a thread of its own and calls :meth:`EmergencyStop.trigger` from it.
+Each source runs in a thread of its own, and from it pulls a
+:class:`~crazyarena.safety.estop.StopButton`.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ import socket
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from crazyarena.errors import DependencyMissing, InputError
 from crazyarena.mocap.zenoh_link import open_session
-from crazyarena.safety.estop import DeadMan, EmergencyStop
+from crazyarena.safety.estop import DeadMan, StopButton
 from crazyarena.safety.estop_token import TokenCheck, make_message
 
 ZENOH_KEY = "crazyarena/estop"
@@ -48,7 +49,7 @@ class SocketSource:
     stop, except ``{"test": true}``, which is a rehearsal.
     """
 
-    def __init__(self, stop: EmergencyStop, folder: Path | None = None) -> None:
+    def __init__(self, stop: StopButton, folder: Path | None = None) -> None:
         self._stop = stop
         self.path = (folder or runtime_folder()) / f"estop-{os.getpid()}-{id(self):x}.sock"
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -134,7 +135,7 @@ class ZenohSource:
 
     def __init__(
         self,
-        stop: EmergencyStop,
+        stop: StopButton,
         check: TokenCheck,
         connect: Sequence[str] = (),
         listen: Sequence[str] = (),
@@ -220,6 +221,16 @@ class _Deadline:
         self._clock.sleep_until(self._clock.now() + seconds)
 
 
+def keyboard_trouble(stream: int) -> str | None:
+    """Why keys cannot be read from a file descriptor; None if they can."""
+    if not os.isatty(stream):
+        return "standard input is no terminal"
+    with contextlib.suppress(OSError):  # a terminal, but not the one that controls this process
+        if os.tcgetpgrp(stream) != os.getpgrp():
+            return "this program runs in the background of its terminal; bring it to the front"
+    return None
+
+
 class KeyboardSource:
     """Space, Enter, Escape or q in the terminal stops; h, held, is the dead-man's key.
 
@@ -229,38 +240,42 @@ class KeyboardSource:
     """
 
     def __init__(
-        self, stop: EmergencyStop, dead_man: DeadMan | None = None, stream: int | None = None
+        self, stop: StopButton, dead_man: DeadMan | None = None, stream: int | None = None
     ) -> None:
         self._stop = stop
         self._dead_man = dead_man
         self._stream = sys.stdin.fileno() if stream is None else stream
-        if not os.isatty(self._stream):
-            raise InputError("emergency stop by keyboard: standard input is no terminal")
+        trouble = keyboard_trouble(self._stream)
+        if trouble is not None:
+            raise InputError(f"emergency stop by keyboard: {trouble}")
         self._closed = threading.Event()
+        self._restore = contextlib.ExitStack()
+        # Before anything else: what is pressed before this is thrown away, and after it, counts.
+        self._restore.enter_context(_single_keys(self._stream))
         self._thread = threading.Thread(target=self._run, name="estop-keyboard", daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
-        with _single_keys(self._stream):
-            while not self._closed.is_set():
-                ready, _, _ = select.select([self._stream], [], [], _TICK)
-                if not ready:
-                    continue
-                try:
-                    keys = os.read(self._stream, 64).decode("utf-8", "replace")
-                except OSError:
-                    return
-                if not keys:
-                    return
-                if any(key in _STOP_KEYS for key in keys):
-                    self._stop.trigger("keyboard", "key pressed")
-                elif self._dead_man is not None and any(key in _HOLD_KEYS for key in keys):
-                    self._dead_man.held()
+        while not self._closed.is_set():
+            ready, _, _ = select.select([self._stream], [], [], _TICK)
+            if not ready:
+                continue
+            try:
+                keys = os.read(self._stream, 64).decode("utf-8", "replace")
+            except OSError:
+                return
+            if not keys:
+                return
+            if any(key in _STOP_KEYS for key in keys):
+                self._stop.trigger("keyboard", "key pressed")
+            elif self._dead_man is not None and any(key in _HOLD_KEYS for key in keys):
+                self._dead_man.held()
 
     def close(self) -> None:
         """Idempotent; the terminal is as before."""
         self._closed.set()
         self._thread.join(timeout=2 * _TICK + 0.5)
+        self._restore.close()
 
 
 @contextlib.contextmanager
@@ -274,7 +289,8 @@ def _single_keys(stream: int) -> Iterator[None]:
     try:
         yield
     finally:
-        termios.tcsetattr(stream, termios.TCSADRAIN, before)
+        with contextlib.suppress(termios.error):  # the terminal may be gone
+            termios.tcsetattr(stream, termios.TCSADRAIN, before)
 
 
 class GamepadSource:
@@ -292,7 +308,7 @@ class GamepadSource:
 
     def __init__(
         self,
-        stop: EmergencyStop,
+        stop: StopButton,
         dead_man: DeadMan | None = None,
         device: Any = None,
         stop_button: int = 0x131,
@@ -300,7 +316,7 @@ class GamepadSource:
     ) -> None:
         self._stop = stop
         self._dead_man = dead_man
-        self._device = device if device is not None else _first_gamepad(stop_button)
+        self._device = device if device is not None else open_gamepad("auto", stop_button)
         self._stop_button = stop_button
         self._hold_button = hold_button
         self._held = False
@@ -335,15 +351,40 @@ class GamepadSource:
         """Idempotent."""
         self._closed.set()
         self._thread.join(timeout=2 * _TICK + 0.5)
+        if hasattr(self._device, "close"):
+            with contextlib.suppress(OSError):
+                self._device.close()
 
 
-def _first_gamepad(button: int, list_devices: Callable[[], Sequence[str]] | None = None) -> Any:
+def open_gamepad(which: str = "auto", button: int = 0x131) -> Any:
+    """``evdev.InputDevice`` of a device file, or with ``auto`` the first that has ``button``.
+
+    Raises
+    ------
+    DependencyMissing: no evdev.
+    InputError: no such gamepad, or not for this user to read.
+    """
     try:
         import evdev
     except ImportError:
         raise DependencyMissing("evdev", "gamepad", "emergency stop by gamepad") from None
-    for path in (list_devices or evdev.list_devices)():
-        device = evdev.InputDevice(path)
+    paths = sorted(evdev.list_devices()) if which == "auto" else [which]
+    for path in paths:
+        try:
+            device = evdev.InputDevice(path)
+        except OSError as error:
+            if which == "auto":
+                continue
+            raise InputError(
+                f"--gamepad {which}: {error.strerror or error}; name a file such as "
+                "/dev/input/event5 that this user can read (sudo usermod -aG input $USER)"
+            ) from None
         if button in device.capabilities().get(1, []):
             return device
-    raise InputError(f"no gamepad with button {button:#x} found; is it plugged in and readable?")
+        device.close()
+    if which != "auto":
+        raise InputError(f"--gamepad {which}: has no button {button:#x}; is it a gamepad?")
+    raise InputError(
+        f"--gamepad auto: none with button {button:#x} found. Plug it in, and let this user read "
+        "it: sudo usermod -aG input $USER, then log in again"
+    )

@@ -20,6 +20,7 @@ from crazyarena.errors import InputError
 _WINDOW = 30.0  # s, for messages that name no session; hosts' clocks may differ by so much
 _MAX_BYTES = 2048
 _MIN_SECRET = 16
+_MAX_LABEL = 80
 _VERSION = "crazyarena-estop-1"
 
 
@@ -72,12 +73,16 @@ class TokenCheck:
     secret: None lets everything pass that reached the key at all: a stop too many is safe, if
         annoying.
     wall: Unix time, for messages without a session.
+    label: for people, at the beginning of ``session``; what follows is never the same again.
     """
 
-    def __init__(self, secret: bytes | None, wall: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self, secret: bytes | None, wall: Callable[[], float] = time.time, label: str = ""
+    ) -> None:
         self._secret = secret
         self._wall = wall
-        self.session = secrets.token_hex(16)
+        nonce = secrets.token_hex(16)
+        self.session = f"{label[:_MAX_LABEL]}-{nonce}" if label else nonce
         self._seen: set[str] = set()
         self.refused = 0
 

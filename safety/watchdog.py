@@ -23,7 +23,7 @@ from crazyarena.clock import Clock
 from crazyarena.errors import InputError
 from crazyarena.mocap.estimator import BodyEstimate, FrameResult, Freshness
 from crazyarena.mocap.events import EventKind
-from crazyarena.safety.estop import DeadMan, EmergencyStop
+from crazyarena.safety.estop import EmergencyStop, Hold
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.gate import CommandGate
@@ -118,7 +118,7 @@ class Watchdog:
     feed: feeds the emergency-stop watchdog of one vehicle, which the first feeding arms
         (``RadioBackend.arm_watchdog``); None for vehicles that have none.
     estop: its latch is looked at in every step.
-    dead_man: if given, letting go lands the vehicles.
+    dead_man: if given, letting go lands the vehicles; may be given later, as an attribute.
     people: names (or beginnings of names) of bodies worn by people.
     props: the same for gates, obstacles and whatever else may be seen.
     grounds: m, height of the standing vehicle's centre by id; 0.03 by default.
@@ -137,7 +137,7 @@ class Watchdog:
         limits: Limits | None = None,
         feed: Callable[[int], None] | None = None,
         estop: EmergencyStop | None = None,
-        dead_man: DeadMan | None = None,
+        dead_man: Hold | None = None,
         people: Iterable[str] = ("person",),
         props: Iterable[str] = ("gate", "obstacle"),
         grounds: Mapping[int, float] | None = None,
@@ -157,7 +157,7 @@ class Watchdog:
         self._estimate = estimate
         self._feed = feed
         self._estop = estop
-        self._dead_man = dead_man
+        self.dead_man = dead_man
         self._people = tuple(people)
         self._props = tuple(props)
         self._on_event = on_event
@@ -348,8 +348,8 @@ class Watchdog:
         )
         # A loop that was asleep itself has seen nothing of what happened meanwhile.
         obs.lateness = _largest(self._lateness, gap)
-        if self._dead_man is not None:
-            obs.dead_man_age = self._dead_man.age()
+        if self.dead_man is not None:
+            obs.dead_man_age = self.dead_man.age()
         if persons:
             self._look_for_people(obs, persons)
         return obs

@@ -23,6 +23,15 @@ from crazyarena.runner.cli.common import (
     Seed,
     bad_input_exits,
 )
+from crazyarena.runner.cli.stop_options import (
+    DeadMan,
+    Gamepad,
+    StopConnect,
+    StopListen,
+    StopNetwork,
+    StopToken,
+    stop_options,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -48,6 +57,12 @@ def bench(
         bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
     ] = True,
     figure: Annotated[bool, typer.Option(help="Write figures.")] = True,
+    gamepad: Gamepad = None,
+    dead_man: DeadMan = None,
+    stop_network: StopNetwork = False,
+    stop_connect: StopConnect = None,
+    stop_listen: StopListen = None,
+    stop_token: StopToken = None,
 ) -> None:
     """Fly a virtual Crazyflie over UDP with cameras over zenoh, in real time.
 
@@ -87,6 +102,9 @@ def bench(
             real_time=real_time,
             figure=figure,
             console=console,
+            stops=stop_options(
+                gamepad, dead_man, stop_network, stop_connect, stop_listen, stop_token, "bench"
+            ),
         ).run()
         if result.comparison is not None:
             console.print(comparing.table(result.comparison))

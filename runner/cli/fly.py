@@ -23,6 +23,15 @@ from crazyarena.runner.cli.common import (
     bad_input_exits,
 )
 from crazyarena.runner.cli.mocap_options import HOST_HELP, OPTION_HELP, SOURCE_HELP
+from crazyarena.runner.cli.stop_options import (
+    DeadMan,
+    Gamepad,
+    StopConnect,
+    StopListen,
+    StopNetwork,
+    StopToken,
+    stop_options,
+)
 
 
 class BackendChoice(StrEnum):
@@ -78,6 +87,12 @@ def fly(
     real_time: Annotated[
         bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
     ] = True,
+    gamepad: Gamepad = None,
+    dead_man: DeadMan = None,
+    stop_network: StopNetwork = False,
+    stop_connect: StopConnect = None,
+    stop_listen: StopListen = None,
+    stop_token: StopToken = None,
 ) -> None:
     """Connect, check, survey the track, arm, fly, come home, land.
 
@@ -98,6 +113,16 @@ def fly(
                 "fly --backend radio: needs --uri and --mocap (e.g. --uri "
                 "radio://0/80/2M/E7E7E7E701 --mocap vicon --mocap-host 192.168.1.5)"
             )
+
+        name = body or f"cf{vehicle}"
+        stops = stop_options(
+            gamepad, dead_man, stop_network, stop_connect, stop_listen, stop_token, name
+        )
+        if not real:
+            # Simulated time runs faster than anybody's hand.
+            if stops != stops.only_local():
+                typer.echo("Simulated time: nothing has to be held, and nobody else can stop it.")
+            stops = stops.only_local()
 
         def open_rig(loaded: Level, limits: Limits) -> Rig:
             if not real:
@@ -138,6 +163,7 @@ def fly(
             surveyed=survey,
             publish=None if publish is None else {"connect": [publish]},
             real_time=real_time and real,
+            stops=stops,
         )
         result = run.run()
     if not result.clean:
