@@ -404,8 +404,11 @@ class Crew:
         except Aborted as error:
             problem = error
             self._come_down()
-        with self._phase(Phase.DISARM, land_on_failure=False):
-            self._disarm()
+        if self._taken():
+            self.stand_down()
+        else:
+            with self._phase(Phase.DISARM, land_on_failure=False):
+                self._disarm()
         if problem is not None:
             raise problem
 
@@ -430,12 +433,18 @@ class Crew:
     def _come_down(self) -> None:
         """By the watchdog if it has the vehicle, else where it is; motors off if that fails."""
         guard = self._rig.safeguard
-        if guard is not None and guard.verdict() is not None and guard.end():
+        if guard is not None and self._taken():
+            guard.end()
             return
         try:
             self._land_here()
         except CrazyarenaError:
             self._send_quietly(cs.Emergency())
+
+    def _taken(self) -> bool:
+        """The watchdog has the vehicle."""
+        guard = self._rig.safeguard
+        return guard is not None and guard.verdict() is not None
 
     def _flyable(self) -> bool:
         info = self._supervisor()

@@ -1,5 +1,7 @@
 """Phases around a run, on the simulated rig: what each refuses, and that every way ends down."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -7,13 +9,15 @@ from crazyarena.crazyswarm_compat import commands as cs
 from crazyarena.levels import load_level
 from crazyarena.levels.draw import LevelRandom
 from crazyarena.mocap.camera_model import CameraModel
-from crazyarena.runner.crew import Aborted, Crew, Phase, Timeouts
+from crazyarena.runner.crew import Aborted, Crew, Grip, Phase, Timeouts
 from crazyarena.runner.referee import Referee
 from crazyarena.runner.rig import simulated
 from crazyarena.runner.tracked_world import TrackedWorld
 from crazyarena.sim_backend.firmware.supervisor import INFO_ARMED, INFO_FLYING
 
-QUICK = Timeouts(connect=0.5, preflight=3.0, survey=3.0, arm=1.0, countdown=1.0, disarm=1.0)
+QUICK = Timeouts(
+    connect=0.5, preflight=3.0, survey=3.0, arm=1.0, countdown=1.0, disarm=1.0, grip=5.0
+)
 
 
 @pytest.fixture
@@ -172,3 +176,105 @@ def test_ctrl_c_in_the_countdown_is_an_abort(stand):
     with pytest.raises(Aborted, match="countdown: interrupted"):
         crew.launch()
     assert fleet(rig).true_pose(0).position[2] < 0.03
+
+
+class Held:
+    """A dead-man's key that is held until ``until`` on the clock, from ``since`` on."""
+
+    def __init__(self, clock, since=-math.inf, until=math.inf):
+        self.clock, self.since, self.until = clock, since, until
+
+    def age(self):
+        now = self.clock.now()
+        return math.inf if now < self.since else max(0.0, now - self.until)
+
+
+def test_it_is_not_armed_before_the_key_is_held(stand):
+    rig, _world, crew, _draw, told = stand()
+    crew.prepare()
+    began = rig.clock.now()
+    crew.grip = Grip(Held(rig.clock, since=began + 2.0), "h", 0.5)
+    crew.launch()
+    assert rig.clock.now() - began >= 2.0 + 1.0 + QUICK.countdown
+    texts = [text for phase, text in told if phase is Phase.ARM]
+    assert any("hold h now" in text for text in texts)
+    assert texts[-1] == "vehicle 1 is armed"
+
+
+def test_a_key_that_nobody_holds_is_an_abort(stand):
+    rig, _world, crew, _draw, told = stand()
+    crew.prepare()
+    crew.grip = Grip(Held(rig.clock, since=math.inf), "h", 0.5)
+    with pytest.raises(Aborted, match="arm: nobody holds h"):
+        crew.launch()
+    assert not any(text == "vehicle 1 is armed" for _, text in told)
+
+
+def test_a_key_tapped_now_and_then_is_not_held(stand):
+    rig, _world, crew, _draw, _ = stand()
+    crew.prepare()
+
+    class Tapped:
+        def age(self):
+            return rig.clock.now() % 0.8
+
+    crew.grip = Grip(Tapped(), "h", 0.5)
+    with pytest.raises(Aborted, match="arm: nobody holds h"):
+        crew.launch()
+
+
+def test_letting_go_in_the_countdown_is_an_abort(stand):
+    rig, _world, crew, _draw, told = stand()
+    crew.prepare()
+    crew.grip = Grip(Held(rig.clock, until=rig.clock.now() + 1.2), "h", 0.3)
+    with pytest.raises(Aborted, match="countdown: the operator let go of h"):
+        crew.launch()
+    assert any(text == "vehicle 1 is armed" for _, text in told)
+    assert fleet(rig).true_pose(0).position[2] < 0.03
+
+
+def test_letting_go_on_the_way_home_lands_it_with_its_motors_on(stand):
+    rig, world, crew, _draw, told = stand()
+    crew.prepare()
+    crew.launch()
+    world.send(cs.Takeoff(1.2, 2.0))
+    rig.clock.sleep_until(rig.clock.now() + 3.0)
+    hold = Held(rig.clock, until=rig.clock.now() + 0.5)
+    rig.safeguard.must_hold(hold)
+    crew.grip = Grip(hold, "h", 0.5)
+    fastest = 0.0
+
+    def watch(frame, result):
+        nonlocal fastest
+        fastest = min(fastest, float(fleet(rig).true_state(0).velocity[2]))
+
+    rig.listeners.frames.append(watch)
+    with pytest.raises(Aborted, match="return-and-land"):
+        crew.bring_home()
+    assert rig.safeguard.verdict().startswith("the watchdog has taken over: dead_man")
+    assert fleet(rig).true_pose(0).position[2] < 0.05
+    # A vehicle whose motors are cut at this height falls at 4 m/s.
+    assert -1.2 < fastest < -0.3
+    assert told[-1] == (Phase.DISARM, "you may let go of h")
+
+
+def test_what_does_not_get_home_is_landed_before_its_motors_are_cut(stand, monkeypatch):
+    rig, world, crew, _draw, _ = stand()
+    crew.prepare()
+    crew.launch()
+    world.send(cs.Takeoff(1.2, 2.0))
+    rig.clock.sleep_until(rig.clock.now() + 3.0)
+    send = crew._send
+    # It does not obey when it is sent home.
+    monkeypatch.setattr(crew, "_send", lambda c: None if isinstance(c, cs.GoTo) else send(c))
+    fastest = 0.0
+
+    def watch(frame, result):
+        nonlocal fastest
+        fastest = min(fastest, float(fleet(rig).true_state(0).velocity[2]))
+
+    rig.listeners.frames.append(watch)
+    with pytest.raises(Aborted, match="does not get where it is sent"):
+        crew.bring_home()
+    assert fleet(rig).true_pose(0).position[2] < 0.05
+    assert fastest > -1.2
