@@ -9,6 +9,7 @@ inside the arena, and no random draw can make mass or inertia negative.
 from __future__ import annotations
 
 import difflib
+import math
 from enum import StrEnum
 from typing import Annotated, Any, Self
 
@@ -122,6 +123,26 @@ class _Model(BaseModel):
         return data
 
 
+class GateMotion(_Model):
+    """How a simulated gate swings about the place where it was put: sinusoids of one period."""
+
+    x: Length = 0.0
+    """Amplitude, m."""
+    y: Length = 0.0
+    """Amplitude, m."""
+    yaw: Angle = 0.0
+    """Amplitude, rad."""
+    period: Annotated[Number, Field(ge=1.0, le=3600.0)]
+    """s"""
+    phase: Angle = 0.0
+    """At the time 0, rad."""
+
+    def offset(self, time: float) -> tuple[float, float, float]:
+        """What is added to x, y (m) and yaw (rad) at a time, s."""
+        swing = math.sin(2.0 * math.pi * time / self.period + self.phase)
+        return self.x * swing, self.y * swing, self.yaw * swing
+
+
 class Gate(_Model):
     """A gate as placed: its foot and its heading."""
 
@@ -138,6 +159,20 @@ class Gate(_Model):
     yaw: Angle = 0.0
     """rad; the gate spans (cos yaw, sin yaw) and is flown through across it."""
     type: GateType
+    tracked: Flag = False
+    """It may move: the cameras follow its body during the run, and it is judged and told of
+    where it is. Such gates stand upright on the floor; x, y and yaw are followed."""
+    motion: GateMotion | None = None
+    """Simulated arenas move it so; in a real one it moves by itself."""
+
+    @model_validator(mode="after")
+    def _moves_in_sight(self) -> Self:
+        if self.motion is not None and not self.tracked:
+            raise invalid(
+                "a gate that moves must be followed: add tracked: true, or leave motion out",
+                "motion",
+            )
+        return self
 
     @property
     def row(self) -> list[float]:
@@ -177,6 +212,11 @@ class Track(_Model):
 
     gates: Annotated[tuple[Gate, ...], Field(max_length=100)] = ()
     obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=100)] = ()
+
+    @property
+    def tracked(self) -> tuple[int, ...]:
+        """Indices of the gates that are followed during the run."""
+        return tuple(i for i, gate in enumerate(self.gates) if gate.tracked)
 
 
 class ShapeKind(StrEnum):
@@ -493,6 +533,16 @@ class Level(_Model):
                     f"{_point(gate.centre)}",
                     f"track.gates.{index}",
                 )
+            if gate.motion is not None:
+                x, y, z = gate.centre
+                for sign in (-1.0, 1.0):
+                    end = (x + sign * gate.motion.x, y + sign * gate.motion.y, z)
+                    if not self.arena.contains(end):
+                        raise invalid(
+                            f"expected a gate that stays inside the arena {box}, found that it "
+                            f"moves to {_point(end)}",
+                            f"track.gates.{index}.motion",
+                        )
         for index, obstacle in enumerate(self.track.obstacles):
             foot = (obstacle.x, obstacle.y, obstacle.z)
             if not self.arena.contains(foot):
@@ -509,6 +559,15 @@ class Level(_Model):
             raise invalid(
                 f"expected a goal inside the arena {box}, found {_point(self.goal.position)}",
                 "goal.position",
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _moving_gates_are_measured(self) -> Self:
+        if self.profile is Profile.COMPETITION and self.track.tracked:
+            raise invalid(
+                "needs profile: arena; the competition's simulation has no cameras",
+                f"track.gates.{self.track.tracked[0]}.tracked",
             )
         return self
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from crazyarena.types import Pose, PoseFrame, Vector
 
 FORMAT = "crazyarena-measured-track"
 VERSION = 1
+_LATEST = 10  # frames that tell where a moving body is
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +102,13 @@ def survey(
     frames: Iterable[PoseFrame],
     nominal: Mapping[str, Pose],
     config: SurveyConfig | None = None,
+    moving: Collection[str] = (),
 ) -> SurveyReport:
-    """Measure the bodies named in ``nominal`` over the next ``config.frames`` frames."""
+    """Measure the bodies named in ``nominal`` over the next ``config.frames`` frames.
+
+    Those named in ``moving`` may be anywhere and on the move: they must only be seen and stand
+    upright, and their pose is that at the end.
+    """
     config = config or SurveyConfig()
     samples: dict[str, list[Pose]] = {name: [] for name in nominal}
     count = 0
@@ -114,12 +120,17 @@ def survey(
                 poses.append(pose)
         if count >= config.frames:
             break
-    bodies = tuple(_measure(n, samples[n], nominal[n], count, config) for n in nominal)
+    bodies = tuple(_measure(n, samples[n], nominal[n], count, config, n in moving) for n in nominal)
     return SurveyReport(bodies, count)
 
 
 def _measure(
-    name: str, samples: list[Pose], nominal: Pose, count: int, config: SurveyConfig
+    name: str,
+    samples: list[Pose],
+    nominal: Pose,
+    count: int,
+    config: SurveyConfig,
+    moving: bool,
 ) -> SurveyedBody:
     need = math.ceil(config.min_seen * config.frames)
     problem: str | None = None
@@ -127,6 +138,10 @@ def _measure(
         nan = math.nan
         problem = f"{name} was not seen in {count} frames; is its body enabled and named so?"
         return SurveyedBody(name, None, 0, nan, nan, nan, nan, problem)
+    earlier = 0
+    if moving:
+        earlier = max(0, len(samples) - _LATEST)
+        samples = samples[earlier:]
     positions = np.array([p.position for p in samples])
     # The median resists the odd outlier that a mean would carry into the track.
     centre = np.median(positions, axis=0)
@@ -145,20 +160,20 @@ def _measure(
     yaw = _wrap(_yaw(quaternion) - _yaw(nominal.quaternion), period)
     x, y, _, _ = quaternion.tolist()
     tilt = math.acos(min(1.0, max(-1.0, 1.0 - 2.0 * (x * x + y * y))))
-    seen = int(kept.sum())
+    seen = earlier + int(kept.sum())
     if seen < need:
         problem = f"{name} was seen well in {seen} of {count} frames; {need} are needed"
-    elif spread > config.max_spread:
+    elif not moving and spread > config.max_spread:
         problem = (
             f"{name} moves by {spread * 1e3:.1f} mm; it must stand still "
             f"({config.max_spread * 1e3:.1f} mm)"
         )
-    elif deviation > config.position_tolerance:
+    elif not moving and deviation > config.position_tolerance:
         problem = (
             f"{name} stands {deviation * 1e2:.1f} cm from its nominal place; at most "
             f"{config.position_tolerance * 1e2:.1f} cm are allowed"
         )
-    elif abs(yaw) > config.yaw_tolerance:
+    elif not moving and abs(yaw) > config.yaw_tolerance:
         problem = (
             f"{name} is turned by {math.degrees(yaw):.1f} degrees against nominal; at most "
             f"{math.degrees(config.yaw_tolerance):.1f} are allowed"

@@ -352,7 +352,8 @@ class Crew:
             )
         finally:
             rig.listeners.frames.remove(listen)
-        report = self.survey_report = survey(frames, nominal, config)
+        moving = [f"gate{i + 1}" for i in self._level.track.tracked]
+        report = self.survey_report = survey(frames, nominal, config, moving)
         try:
             return report.track()
         except InputError as error:

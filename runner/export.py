@@ -114,9 +114,11 @@ def read(file: Path) -> Recording:
 
 
 def write_csv(recording: Recording, stem: Path) -> list[Path]:
-    """One file a topic, ``<stem>_<topic>.csv``; returns the files."""
+    """One file a topic that has rows, ``<stem>_<topic>.csv``; returns the files."""
     written = []
     for topic, table in recording.tables.items():
+        if not len(table):
+            continue
         file = stem.with_name(f"{stem.name}_{topic}.csv")
         header = ",".join(recording.columns[topic])
         np.savetxt(file, table, fmt="%.17g", delimiter=",", header=header, comments="")

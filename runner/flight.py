@@ -27,9 +27,10 @@ from crazyarena.runner.control_loop import ControlLoop, Deadlines
 from crazyarena.runner.crew import Aborted, Crew, MeasuredTrack, OnPhase, Phase
 from crazyarena.runner.episode import Interrupt
 from crazyarena.runner.injection import Injection
+from crazyarena.runner.moving_gates import MovingGates
 from crazyarena.runner.realtime import quiet_collector, steady
 from crazyarena.runner.recording import Recorder
-from crazyarena.runner.referee import Event, Referee, observation
+from crazyarena.runner.referee import Event, Referee, Verdict, observation
 from crazyarena.runner.result import (
     ABORTED,
     CONTROLLER_ERROR,
@@ -125,6 +126,9 @@ class FlightTrial:
         self._crew = crew
         self._watch = watch
         self._injection = injection or Injection()
+        self._gates: MovingGates | None = None
+        if level.track.tracked and isinstance(world, TrackedWorld):
+            self._gates = MovingGates(level, world.rig)
         self._deadlines = deadlines or Deadlines()
         self._episodes = level.num_episodes if episodes is None else episodes
         self._seed = level.seed if seed is None else seed
@@ -184,7 +188,10 @@ class FlightTrial:
         self._world.reset(draw)
         try:
             track = self._prepare(draw)
-            referee.begin(track.gates, track.obstacles)
+            if self._gates is not None:
+                self._gates.begin(track.gates)
+            follow = None if self._gates is None else self._gates.at
+            referee.begin(track.gates, track.obstacles, follow)
             start = self._start(draw)
             referee.warm_up(start)
             if not self._made:
@@ -254,10 +261,18 @@ class FlightTrial:
     ) -> tuple[EpisodeResult, list[Any]]:
         crew, watch, on_step = self._crew, self._watch, self._on_step
         if isinstance(self._world, TrackedWorld):
-            self._world.begin()
+            epoch = self._world.begin()
+            if self._gates is not None:
+                self._gates.start(epoch)
         if watch is not None:
             watch.begin()
         began = self._world.clock.now()
+
+        def judged(verdict: Verdict, time: float) -> None:
+            self._injection.judged(verdict, time)
+            if self._gates is not None:
+                self._gates.tell(time, recorder, self._injection)
+
         loop = ControlLoop(
             index,
             self._contender,
@@ -269,7 +284,7 @@ class FlightTrial:
             keep_alive=crew is not None,
             recorder=recorder,
             watch=watch,
-            on_verdict=self._injection.judged,
+            on_verdict=judged,
             on_step=None if on_step is None else lambda time: on_step(index, time),
         )
         try:
@@ -280,6 +295,8 @@ class FlightTrial:
             if crew is not None:
                 crew.abort()
             raise
+        if self._gates is not None:
+            result.events = [*result.events, *self._gates.events]
         if crew is not None:
             crew.durations[Phase.RUN.value] = self._world.clock.now() - began
             crew.announce(Phase.COMPLETE if result.completed else Phase.FAIL, result.termination)

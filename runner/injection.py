@@ -6,7 +6,11 @@ a publisher is given, out over zenoh (keys in docs/trials.md):
 * ``<prefix>/track``: the measured track, once an episode: ``{"gates": [[x, y, z, roll, pitch,
   yaw, type], ...], "obstacles": [...], "source": ...}``;
 * ``<prefix>/gates/<i>``: every change of what is told of gate i (from 0): ``{"gate": i, "time":
-  s, "in_range": bool, "pose": [6]}``.
+  s, "in_range": bool, "pose": [6]}``;
+* ``<prefix>/gates/<i>/measured``: where the cameras see gate i, if it may move: ``{"gate": i,
+  "time": s, "pose": [6]}``.
+
+Poses that change all the time go out ten times a second.
 """
 
 from __future__ import annotations
@@ -14,12 +18,16 @@ from __future__ import annotations
 import json
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from crazyarena.levels.schema import Level
 from crazyarena.runner.crew import MeasuredTrack
 from crazyarena.runner.recording import Recorder
 from crazyarena.runner.referee import Verdict
 
 DEFAULT_PREFIX = "crazyarena/trial"
+_PERIOD = 0.1  # s, between poses of one gate that moves
 
 
 class Outlet(Protocol):
@@ -61,12 +69,16 @@ class Injection:
         self._outlet = outlet
         self._recorder: Recorder | None = None
         self._told: tuple[int, bool] | None = None
+        self._tracked: tuple[int, ...] = ()
+        self._published: dict[int, float] = {}
         self.reveals: list[dict[str, Any]] = []
 
     def begin(self, track: MeasuredTrack, level: Level, recorder: Recorder | None) -> None:
         """A new episode on this track."""
         self._recorder = recorder
         self._told = None
+        self._tracked = level.track.tracked
+        self._published = {}
         self.reveals = []
         if self._outlet is not None:
             self._outlet.put(
@@ -82,21 +94,32 @@ class Injection:
     def judged(self, verdict: Verdict, time: float) -> None:
         """Take note of what the next question will tell; ``time`` s since the start."""
         told = (verdict.gate, bool(verdict.info["current_target_gate_in_range"]))
-        if told == self._told:
-            return
-        self._told = told
         gate, in_range = told
-        entry = {
-            "gate": gate,
-            "time": time,
-            "in_range": in_range,
-            "pose": [float(value) for value in verdict.info["current_target_gate_pos"]],
-        }
+        pose = [float(value) for value in verdict.info["current_target_gate_pos"]]
+        news = told != self._told
+        if not news:
+            # The recording has what was told at every step; here the gist of it is enough.
+            last = self.reveals[-1]
+            if not in_range or gate not in self._tracked or pose == last["pose"]:
+                return
+            if time - last["time"] < _PERIOD - 1e-6:
+                return
+        self._told = told
+        entry = {"gate": gate, "time": time, "in_range": in_range, "pose": pose}
         self.reveals.append(entry)
-        if self._recorder is not None:
+        if news and self._recorder is not None:
             what = "exact" if in_range else "nominal"
             self._recorder.event(
                 time, round(time * 500), "gate told", f"gate {gate}: {what} {entry['pose']}"
             )
         if self._outlet is not None and gate >= 0:
             self._outlet.put(f"gates/{gate}", entry)
+
+    def moved(self, gate: int, time: float, pose: NDArray[np.float64]) -> None:
+        """Gate ``gate`` is seen at another place now: (6,) m, rad."""
+        if self._outlet is None or time - self._published.get(gate, -1.0) < _PERIOD - 1e-6:
+            return
+        self._published[gate] = time
+        self._outlet.put(
+            f"gates/{gate}/measured", {"gate": gate, "time": time, "pose": pose.tolist()}
+        )

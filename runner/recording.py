@@ -58,6 +58,13 @@ float64[13] asked_args
 float64 sent
 float64[13] sent_args
 """
+_GATE_FIELDS = """\
+# A gate that moves: where the cameras had it at a control step, if that has changed. m, rad; gate
+# counts from 0; x, y, z of the opening's centre, fixed-axis roll, pitch, yaw.
+float64 time
+float64 gate
+float64[6] pose
+"""
 # A PoseStamped whose frame id is "map": with its NUL the head is 16 bytes and needs no padding.
 _POSE_FIELDS = """\
 std_msgs/Header header
@@ -100,7 +107,7 @@ _EVENT_SCHEMA = {
     },
 }
 
-_STATE, _COMMAND, _REFEREE, _POSE, _EVENT, _SCENE = range(1, 7)
+_STATE, _COMMAND, _REFEREE, _POSE, _EVENT, _SCENE, _GATE = range(1, 8)
 
 
 def _ros(channel: int, topic: str, name: str, fields: str) -> mcap_file.Channel:
@@ -118,6 +125,7 @@ CHANNELS = [
     mcap_file.Channel(
         _SCENE, "/scene", "json", "foxglove.SceneUpdate", "jsonschema", '{"type":"object"}'
     ),
+    _ros(_GATE, "/gate", "crazyarena/msg/Gate", _GATE_FIELDS),
 ]
 
 
@@ -215,8 +223,9 @@ class Recorder:
         self._verdicts = _Rows(verdict_row.SIZE, 1024)
         self._pose_index: list[int] = []
         self._events: list[tuple[int, bytes]] = []
-        self._scene = json.dumps(scene).encode()
-        self._on_disk = [0, 0, 0, 0, 0, 0]
+        self._scenes: list[tuple[int, bytes]] = [(0, json.dumps(scene).encode())]
+        self._gates = _Rows(8, 64)
+        self._on_disk = [0] * len(CHANNELS)
         self._closed = False
 
     def command(self, time: float, asked: Asked, sent: cs.Command | None) -> None:
@@ -250,6 +259,16 @@ class Recorder:
         text = json.dumps({"time": time, "tick": tick, "event": name, "detail": detail})
         self._events.append((round(time * 1e9), text.encode()))
 
+    def gate(self, time: float, gate: int, pose: NDArray[np.float64]) -> None:
+        """Store where a gate that moves is: (6,) m, rad."""
+        row = self._gates.next()
+        row[:2] = time, gate
+        row[2:] = pose
+
+    def scene(self, time: float, scene: Mapping[str, Any]) -> None:
+        """Store a further ``foxglove.SceneUpdate``."""
+        self._scenes.append((round(time * 1e9), json.dumps(scene).encode()))
+
     def _batches(self, first: list[int], last: list[int]) -> list[mcap_file.Batch]:
         """Messages number ``first`` (inclusive) to ``last`` (exclusive) of every channel."""
         states = self._states.rows[first[0] : last[0]]
@@ -271,8 +290,10 @@ class Recorder:
         ]
         for i in range(first[4], last[4]):
             batches.append(mcap_file.message(_EVENT, i, *self._events[i]))
-        if last[5] > first[5]:
-            batches.append(mcap_file.message(_SCENE, 0, 0, self._scene))
+        for i in range(first[5], last[5]):
+            batches.append(mcap_file.message(_SCENE, i, *self._scenes[i]))
+        gates = self._gates.rows[first[6] : last[6]]
+        batches.append(mcap_file.cdr_batch(_GATE, first[6], nanoseconds(gates[:, 0]), gates))
         return batches
 
     def _counts(self) -> list[int]:
@@ -282,7 +303,8 @@ class Recorder:
             self._verdicts.count,
             len(self._pose_index),
             len(self._events),
-            1,
+            len(self._scenes),
+            self._gates.count,
         ]
 
     def flush(self) -> None:
@@ -312,7 +334,7 @@ class Recorder:
             verbs = {f"asked {number}": name for name, number in VERBS.items()}
             verbs |= {f"sent {number}": kind.__name__ for kind, number in _KIND_NUMBER.items()}
             writer.metadata("verbs", verbs)
-            writer.chunk(self._batches([0] * 6, counts))
+            writer.chunk(self._batches([0] * len(CHANNELS), counts))
             writer.finish()
         os.replace(unfinished, self.file)
         if self._part is not None:

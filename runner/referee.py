@@ -8,7 +8,7 @@ A source that knows no contacts leaves UNKNOWN_CONTACT: they are computed from t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,7 +43,7 @@ from crazyarena.sim_backend.physics.geometry import (
     gate_rays_blocked,
     make_workspace,
 )
-from crazyarena.sim_backend.physics.scene import build_scene
+from crazyarena.sim_backend.physics.scene import build_scene, fill_scene
 from crazyarena.sim_backend.trace import (
     NO_CONTACT,
     TR_CONTACT,
@@ -51,6 +51,7 @@ from crazyarena.sim_backend.trace import (
     TR_POS,
     TR_QUAT,
     TR_RPY,
+    TR_TIME,
     TR_VEL,
     TRACE_SIZE,
     UNKNOWN_CONTACT,
@@ -178,29 +179,47 @@ class Referee:
         self._n_gates = len(self._nominal_rows)
         self._n_obstacles = len(level.track.obstacles)
 
-    def begin(self, gates: Array, obstacles: Array) -> None:
+    def begin(
+        self, gates: Array, obstacles: Array, follow: Callable[[float], Array] | None = None
+    ) -> None:
         """Begin an episode on a track.
 
         Parameters
         ----------
         gates: (n, 7) true x, y, z of the centre, roll, pitch, yaw, type.
         obstacles: (m, 6) true x, y, z, roll, pitch, yaw.
+        follow: where gates move, their (n, 7) at a time in s, the same array while nothing has
+            moved; asked with the time of every row that is judged.
         """
+        self._follow = follow
+        self._seen: Array | None = None
         self._gates = np.array(gates, dtype=np.float64).reshape(-1, 7)
         self._nominal = np.array(self._nominal_rows, dtype=np.float64).reshape(-1, 6)
         obstacles = np.array(obstacles, dtype=np.float64).reshape(-1, 6)
         self._obstacles = obstacles
         self._scene = build_scene(self._gates, obstacles)
         self._ground = self._n_gates + self._n_obstacles
-        self._pose_lists = [list(row[:6]) for row in self._gates]
-        forget(self._work)
         self._memory[:] = 0.0
         self._memory[rules_kernel.ME_CONTACT] = NO_CONTACT
         if self._n_gates == 0:
             self._memory[rules_kernel.ME_GATE] = -1.0
+        self._look_at_gates()
+        self._verdict: Verdict | None = None
+
+    def _look_at_gates(self) -> None:
+        """What follows from the places of the gates."""
+        self._pose_lists = [list(row[:6]) for row in self._gates]
+        forget(self._work)
         for gate in range(self._n_gates):
             self._blocked[gate] = gate_rays_blocked(self._scene, gate, self._work)
-        self._verdict: Verdict | None = None
+
+    def _move(self, gates: Array) -> None:
+        if gates is self._seen:
+            return
+        self._seen = gates
+        self._gates[:] = gates
+        fill_scene(self._gates, self._obstacles, self._scene)
+        self._look_at_gates()
 
     def warm_up(self, state: Array) -> None:
         """Load what judging needs, which takes some 40 ms, before the present episode starts.
@@ -212,7 +231,35 @@ class Referee:
         row[0, TR_QUAT + 3] = 1.0
         row[0, TR_CONTACT] = UNKNOWN_CONTACT
         self.judge(row)
-        self.begin(self._gates, self._obstacles)
+        self.begin(self._gates, self._obstacles, self._follow)
+
+    def _apply(self, rows: Array) -> list[list[float]]:
+        """Apply the rules to ticks; returns the events, as rows."""
+        count = rules_kernel.judge(
+            self._rules,
+            self._memory,
+            rows,
+            self._scene,
+            self._ground,
+            self._blocked,
+            self._gates,
+            self._nominal,
+            self._work,
+            self._out,
+            self._events,
+        )
+        return self._events[:count].tolist() if count else []
+
+    def _apply_following(self, rows: Array, follow: Callable[[float], Array]) -> list[list[float]]:
+        """The same, each tick with the gates where they are at its time."""
+        found: list[list[float]] = []
+        last = len(rows) - 1
+        for k in range(len(rows)):
+            self._move(follow(float(rows[k, TR_TIME])))
+            events = self._apply(rows[k : k + 1])
+            # The end of time is looked at once a control step.
+            found += [e for e in events if k == last or e[0] != rules_kernel.EV_TIME_LIMIT]
+        return found
 
     def judge(self, rows: Array) -> Verdict:
         """Judge the ticks of one control step, (k, TRACE_SIZE).
@@ -224,20 +271,8 @@ class Referee:
                 raise ValueError("the first control step of an episode needs at least one pose")
             self._verdict.events = ()
             return self._verdict
-        out = self._out
-        n_events = rules_kernel.judge(
-            self._rules,
-            self._memory,
-            rows,
-            self._scene,
-            self._ground,
-            self._blocked,
-            self._gates,
-            self._nominal,
-            self._work,
-            out,
-            self._events,
-        )
+        out, follow = self._out, self._follow
+        found = self._apply(rows) if follow is None else self._apply_following(rows, follow)
         verdict = Verdict()
         self._verdict = verdict
         last = rows[-1]
@@ -291,9 +326,7 @@ class Referee:
         if truncated == truncated:  # not NaN: only on the step that meets the time limit
             info["TimeLimit.truncated"] = truncated > 0.0
         verdict.info = info
-        verdict.events = (
-            [self._event(row) for row in self._events[:n_events].tolist()] if n_events else ()
-        )
+        verdict.events = [self._event(row) for row in found] if found else ()
         return verdict
 
     def reason(self, verdict: Verdict) -> str:

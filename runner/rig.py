@@ -112,9 +112,10 @@ def simulated(
     guarded: bool = True,
 ) -> Rig:
     """The rig of a dry run: everything in this process, in virtual time."""
-    from crazyarena.sim_backend.arena_world import SimulatedArena
+    from crazyarena.sim_backend.arena_world import SimulatedArena, motions
 
-    arena = SimulatedArena(np.random.default_rng([seed, _RIG_STREAM]), cameras=cameras)
+    rng = np.random.default_rng([seed, _RIG_STREAM])
+    arena = SimulatedArena(rng, cameras=cameras, motions=motions(level))
     safeguard = None
     backend: Backend = arena.link
     if guarded:

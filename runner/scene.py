@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -93,6 +94,17 @@ def _obstacle(name: str, row: NDArray[np.float64]) -> dict[str, Any]:
         cubes=[_box(_pose(x, y, BASE_HEIGHT / 2, yaw), base, _OBSTACLE)],
         cylinders=[_cylinder(pillar, OBSTACLE_RADIUS, OBSTACLE_LENGTH, _OBSTACLE)],
     )
+
+
+def moved_gates(gates: NDArray[np.float64], which: Iterable[int], time: float) -> dict[str, Any]:
+    """The gates ``which`` of (n, 7) at their places at a time, s."""
+    entities = []
+    for i in which:
+        entity = _gate(f"gate {i}", gates[i])
+        nanoseconds = round(time * 1e9)
+        stamp = {"sec": nanoseconds // 10**9, "nsec": nanoseconds % 10**9}
+        entities.append({**entity, "timestamp": stamp})
+    return {"deletions": [], "entities": entities}
 
 
 def scene_update(

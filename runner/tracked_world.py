@@ -52,11 +52,12 @@ class TrackedWorld:
         self._setpoint: Array = np.full(10, np.nan)
         rig.listeners.frames.append(self._see)
 
-    def begin(self) -> None:
-        """Start the episode's time now."""
+    def begin(self) -> float:
+        """Start the episode's time now; returns that, s on the session's clock."""
         with self._lock:
             self._rows.clear()
             self._epoch = self.clock.now()
+            return self._epoch
 
     def reset(self, draw: Any) -> None:
         """Make ready for an episode; its time does not run before :meth:`begin`."""

@@ -39,23 +39,30 @@ def _serve(config: dict[str, Any]) -> None:
     from crazyarena.mocap.sim_source import SimSource
     from crazyarena.mocap.zenoh_link import ZenohPublisher
     from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
-    from crazyarena.sim_backend.arena_world import SENSOR_NOISE, feet, track_truth
+    from crazyarena.sim_backend.arena_kernel import DT
+    from crazyarena.sim_backend.arena_world import SENSOR_NOISE, Track, motions
     from crazyarena.sim_backend.crtp.server import VirtualServer
-    from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
+    from crazyarena.sim_backend.crtp.swarm import Send, VirtualSwarm
     from crazyarena.sim_backend.physics.arena_plant import AP_CAPACITY
     from crazyarena.sim_backend.physics.competition_step import PLANT_SIZE
-    from crazyarena.sim_backend.physics.scene import build_scene
 
     class Swarm(VirtualSwarm):
         """Vehicles among the gates and obstacles that the cameras see as well."""
 
-        track: dict[str, Pose]
+        track: Track
+
+        def advance(self, ticks: int, send: Send) -> None:
+            if self.track.moves:
+                self.fleet.move_scene(self.track.scene(self.fleet.time + ticks * DT))
+            super().advance(ticks, send)
 
         def truth(self) -> dict[str, Pose]:
-            return {**super().truth(), **self.track}
+            return {**super().truth(), **self.track.bodies(self.fleet.time)}
 
     lower_priority()  # whatever the runner had: first comes a lot of work that may wait
-    draw = LevelRandom(load_level(config["level_file"]), config["seed"]).reset()
+    level = load_level(config["level_file"])
+    draw = LevelRandom(level, config["seed"]).reset()
+    track = Track(draw, motions(level))
     # Not the numbers of the dry run: measurement noise never repeats in an arena either.
     for_cameras, for_sensors = np.random.default_rng([config["seed"], os.getpid()]).spawn(2)
     noise: SensorNoise = SENSOR_NOISE
@@ -63,7 +70,7 @@ def _serve(config: dict[str, Any]) -> None:
         [(draw.start[0], draw.start[2], 0.0)],
         [float(draw.start[8])],
         ids=(config["vehicle"],),
-        scene=build_scene(draw.gates, draw.obstacles),
+        scene=track.scene(0.0),
         noise=noise,
         rng=for_sensors,
     )
@@ -71,7 +78,7 @@ def _serve(config: dict[str, Any]) -> None:
     fleet.plants[0, AP_CAPACITY] *= config["battery"]
     fleet.advance(1)  # compiles, which must not happen in flight
     swarm = Swarm(fleet)
-    swarm.track = track_truth(feet(draw), draw.obstacles)
+    swarm.track = track
     for vehicle in swarm.vehicles:
         vehicle.warm_up()
     # Real vehicles and cameras are never short of processors.

@@ -203,10 +203,13 @@ def track_zones(level: Level, margin: float) -> list[Zone]:
 
     Dimensions of the competition's models: beams of 0.05 m at 0.225 m from the centre of the
     opening, stands of 0.05 m radius (tall) or 0.15 m width (low), obstacles of 0.05 m radius up
-    to 0.925 m on a foot of 0.15 m width. Roll and pitch are taken as zero.
+    to 0.925 m on a foot of 0.15 m width. Roll and pitch are taken as zero. Gates that may move
+    have none.
     """
     zones = []
     for index, gate in enumerate(level.track.gates):
+        if gate.tracked:
+            continue
         x, y, z = gate.centre
         for name, solid in _gate_solids(x, y, z, gate.z, gate.yaw, gate.type):
             zones.append(Zone(f"gate {index} {name}", solid, margin))

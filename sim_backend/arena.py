@@ -262,6 +262,11 @@ class ArenaFleet:
             geometry.forget(work)
         self.bodies[:, AB_REST] = 0.0  # what it lay on may be gone
 
+    def move_scene(self, scene: Array) -> None:
+        """As :meth:`set_scene`, for objects that moved a little; wakes nobody who lies still."""
+        self._scene[:] = scene
+        self._work[:, geometry.W_CACHE, 3] = -1.0  # the clearance found last
+
     def place(self, vehicle: int, position: ArrayLike, yaw: float = 0.0) -> None:
         """Put a vehicle somewhere, level, at rest and with a full battery."""
         x, y, z = (float(value) for value in np.asarray(position, dtype=np.float64))

@@ -21,12 +21,13 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.checks import check
 from crazyarena.errors import CommandError, InputError
 from crazyarena.levels.draw import Draw
+from crazyarena.levels.schema import GateMotion, Level
 from crazyarena.mocap.camera_model import CameraModel
 from crazyarena.mocap.sim_source import SimSource
 from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
 from crazyarena.sim_backend.arena_kernel import DT
 from crazyarena.sim_backend.physics.competition_step import PLANT_SIZE
-from crazyarena.sim_backend.physics.scene import build_scene
+from crazyarena.sim_backend.physics.scene import build_scene, fill_scene
 from crazyarena.types import Pose, Telemetry
 
 Array = NDArray[np.float64]
@@ -207,6 +208,49 @@ def _pose(row: Array) -> Pose:
     return Pose(np.array(row[:3], dtype=np.float64), quaternion)
 
 
+class Track:
+    """Gates and obstacles of a draw, some of the gates perhaps on the move.
+
+    motions: of each gate (:func:`motions`); times are in s since the track was built.
+    """
+
+    def __init__(self, draw: Draw, motions: Sequence[GateMotion | None] = ()) -> None:
+        self._draw = draw
+        self._motions = [(i, motion) for i, motion in enumerate(motions) if motion is not None]
+        self._bodies = track_truth(feet(draw), draw.obstacles)
+        self._scene = build_scene(draw.gates, draw.obstacles)
+
+    @property
+    def moves(self) -> bool:
+        return bool(self._motions)
+
+    def gates(self, time: float) -> Array:
+        """(n, 7) as :attr:`Draw.gates`."""
+        rows = self._draw.gates.copy()
+        for i, motion in self._motions:
+            rows[i, [0, 1, 5]] += motion.offset(time)
+        return rows
+
+    def scene(self, time: float) -> Array:
+        """Rows for the collision geometry; they are used again by the next call."""
+        fill_scene(self.gates(time), self._draw.obstacles, self._scene)
+        return self._scene
+
+    def bodies(self, time: float) -> dict[str, Pose]:
+        """True poses by the names of the bodies."""
+        if self._motions:
+            gates = self.gates(time)
+            gates[:, 2] = self._draw.nominal_gates[:, 2]
+            for i, _ in self._motions:
+                self._bodies[f"gate{i + 1}"] = _pose(gates[i])
+        return self._bodies
+
+
+def motions(level: Level) -> tuple[GateMotion | None, ...]:
+    """How the gates of a level move."""
+    return tuple(gate.motion for gate in level.track.gates)
+
+
 class SimulatedArena:
     """The vehicle, its track and the cameras; whoever moves :attr:`clock` lets time pass.
 
@@ -215,6 +259,7 @@ class SimulatedArena:
     rng: everything random in here is drawn from its children, in the order link, cameras,
         sensors.
     vehicle: id of the vehicle; its body is called ``cf<id>``.
+    motions: of the gates, where they move.
     """
 
     def __init__(
@@ -225,6 +270,7 @@ class SimulatedArena:
         cameras: CameraModel | None = None,
         link: LinkModel | None = None,
         noise: SensorNoise | None = None,
+        motions: Sequence[GateMotion | None] = (),
     ) -> None:
         for_link, for_cameras, for_sensors = rng.spawn(3)
         self.clock = EventClock()
@@ -238,7 +284,9 @@ class SimulatedArena:
         )
         self.link = SimulatedLink(self.fleet, self.clock, link or LinkModel(), for_link)
         self.source = SimSource(self.clock, None, cameras, for_cameras)
-        self._track: dict[str, Pose] = {}
+        self._motions = motions
+        self._track: Track | None = None
+        self._staged = 0.0
         self._start = -self.fleet.time
         self.clock.stop_at(lambda: self.source.next_event)
         self.clock.stop_at(lambda: self.link.next_event)
@@ -247,21 +295,27 @@ class SimulatedArena:
     def stage(self, draw: Draw) -> None:
         """Build the track and put the freshly switched-on vehicle at its start, as people do."""
         x, _, y, _, _, _, _, _, yaw, _, _, _ = draw.start
-        self.fleet.set_scene(build_scene(draw.gates, draw.obstacles))
+        self._track = Track(draw, self._motions)
+        self._staged = self.fleet.time
+        self.fleet.set_scene(self._track.scene(0.0))
         self.fleet.plants[0, :PLANT_SIZE] = (draw.mass, *draw.inertia)
         self.fleet.place(0, (x, y, 0.0), float(yaw))
         self.fleet.reboot(0)
         self.link.reset()
-        self._track = track_truth(feet(draw), draw.obstacles)
 
     def _advance(self, now: float) -> None:
-        fleet = self.fleet
+        fleet, track = self.fleet, self._track
         ticks = round((now - self._start) / DT) - fleet.tick
         if ticks > 0:
+            if track is not None and track.moves:
+                # Time never runs further than to the next exposure: gates move in small steps.
+                fleet.move_scene(track.scene(fleet.time + ticks * DT - self._staged))
             fleet.advance(ticks)
         self.link.deliver(now)
         while self.source.next_exposure <= now:
-            truth = {self.body: fleet.true_pose(0), **self._track}
+            truth = {self.body: fleet.true_pose(0)}
+            if track is not None:
+                truth |= track.bodies(fleet.time - self._staged)
             self.source.expose(self.source.next_exposure, truth)
 
     def close(self) -> None:

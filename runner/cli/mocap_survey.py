@@ -53,13 +53,15 @@ def mocap_survey(
         from crazyarena.levels import load_level
         from crazyarena.mocap.survey import SurveyConfig, survey, write_track
 
-        nominal = nominal_track(load_level(level))
+        flown = load_level(level)
+        nominal = nominal_track(flown)
         clock = WallClock()
         with closing(open_named_source(mocap, host, option or (), clock)) as source:
             report = survey(
                 _frames(source, clock, timeout),
                 nominal,
                 SurveyConfig(frames=frames, position_tolerance=tolerance),
+                [f"gate{i + 1}" for i in flown.track.tracked],
             )
         for measured in report.bodies:
             typer.echo(

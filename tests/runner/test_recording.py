@@ -38,6 +38,8 @@ def test_another_reader_reads_all_of_it(tmp_path):
     writing = recorder(file)
     fill(writing, 3)
     writing.event(0.05, 25, "gate passed", "gate 0")
+    writing.gate(0.06, 2, np.arange(6.0))
+    writing.scene(0.06, {"deletions": [], "entities": []})
     writing.close()
     with open(file, "rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
@@ -52,13 +54,17 @@ def test_another_reader_reads_all_of_it(tmp_path):
             "/referee": 3,
             "/pose": 3,
             "/event": 1,
-            "/scene": 1,
+            "/scene": 2,
+            "/gate": 1,
         }
         # Through the index, in the order of time, only the second step.
         picked = list(reader.iter_messages(topics=["/state"], starting_at=36_000_000))
         assert [m.log_time for _, _, m in picked] == [2_000_000 * k for k in range(18, 52)]
         state = np.frombuffer(picked[0][2].data[4:], "<f8")
         assert state[0] == 0.036
+        (_, _, gate) = next(iter(reader.iter_messages(topics=["/gate"])))
+        assert gate.log_time == 60_000_000
+        assert np.frombuffer(gate.data[4:], "<f8").tolist() == [0.06, 2.0, 0, 1, 2, 3, 4, 5]
         (_, _, event) = next(iter(reader.iter_messages(topics=["/event"])))
         assert json.loads(event.data)["event"] == "gate passed"
         metadata = {m.name: m.metadata for m in reader.iter_metadata()}
