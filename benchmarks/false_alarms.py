@@ -1,9 +1,14 @@
 """Does the safety leave good flights alone?
 
-Flies the example racer through level 0 to 3 with new random draws in every episode, in the
-competition's world, behind the command gate and under the watchdog: its commands pass the gate,
-and simulated cameras (100 Hz, noise, dropouts, latency) show its flight to the estimator and the
-watchdog, which watches without taking over so that every alarm of a flight is counted.
+Three fifths of the episodes are the example racer's, through level 0 to 3 with new random draws
+in every episode, in the competition's world, behind the command gate and under the watchdog: its
+commands pass the gate, and simulated cameras (100 Hz, noise, dropouts, latency) show its flight
+to the estimator and the watchdog, which watches without taking over so that every alarm of a
+flight is counted.
+
+The others are those of the Crazyswarm examples with ``--guard``, in the arenas of the same
+levels: vehicles start somewhere else every time, a little inside what the example needs, and the
+cameras' noise is another. Here the watchdog would take over.
 
     python benchmarks/false_alarms.py --episodes 200
 
@@ -16,13 +21,22 @@ from __future__ import annotations
 
 import argparse
 import collections
+import contextlib
+import importlib.util
+import io
 import tempfile
+import warnings
+from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from crazyarena.clock import VirtualClock
+from crazyarena.crazyswarm_compat.crazyswarm1 import Crazyswarm
+from crazyarena.crazyswarm_compat.options import CrazyswarmWarning
+from crazyarena.errors import CrazyarenaError
 from crazyarena.levels import load_level
 from crazyarena.levels.schema import Level
 from crazyarena.mocap.camera_model import CameraModel
@@ -42,7 +56,9 @@ from crazyarena.types import Pose
 
 _LEAD = 1.0  # s of frames before the take-off
 _STEP = 0.005  # s, between looks of the watchdog
-
+_LEVELS = ("level0", "level1", "level2", "level3")
+_EXAMPLES = Path(__file__).resolve().parent.parent / "examples" / "crazyswarm"
+_RUN_OFF = 0.6  # m, between what an example needs and the fence
 
 Events = list[SafetyEvent]
 
@@ -153,26 +169,91 @@ def fly(level_name: str, episodes: int, seed: int) -> tuple[int, list[tuple[bool
     return world.frames, list(zip(completed, world.episodes, strict=True))
 
 
+@dataclass(frozen=True, slots=True)
+class Example:
+    """A script of examples/crazyswarm, and how far from its start each vehicle flies, m."""
+
+    name: str
+    low: tuple[float, float] = (0.0, 0.0)
+    high: tuple[float, float] = (0.0, 0.0)
+
+
+EXAMPLES = (
+    Example("hover"),
+    Example("circle", (-1.0, -0.5), (0.0, 0.5)),
+    Example("figure8", (-1.0, -0.55), (1.0, 0.55)),
+    Example("gates"),
+    Example("swap", (-0.4, -0.4), (0.4, 0.4)),
+)
+
+
+def draw_starts(example: Example, level: Level, rng: np.random.Generator) -> np.ndarray:
+    """(2, 2) m, x and y of two vehicles 1.5 to 2.5 m apart."""
+    low = np.array(level.arena.low[:2]) + _RUN_OFF - example.low
+    high = np.array(level.arena.high[:2]) - _RUN_OFF - example.high
+    while True:
+        first = rng.uniform(low, high)
+        angle, distance = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(1.5, 2.5)
+        second = first + distance * np.array([np.cos(angle), np.sin(angle)])
+        if (low <= second).all() and (second <= high).all():
+            return np.array([first, second])
+
+
+def _load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"example_{name}", _EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def fly_example(example: Example, level_name: str, seed: int) -> tuple[bool, int, Events]:
+    """Whether a flight of an example came to its own end, commands passed, what happened."""
+    rng = np.random.default_rng(seed)
+    starts = draw_starts(example, load_level(level_name), rng)
+    fleet = "crazyflies:\n" + "".join(
+        f"- {{id: {i + 1}, channel: 80, initialPosition: [{x:.4f}, {y:.4f}, 0.0]}}\n"
+        for i, (x, y) in enumerate(starts)
+    )
+    made: list[Crazyswarm] = []
+
+    def open_swarm(crazyflies_yaml: object) -> Crazyswarm:
+        flags = f"--sim --vis null --guard {level_name},seed={rng.integers(2**31)}"
+        made.append(Crazyswarm(crazyflies_yaml=fleet, args=flags))
+        return made[0]
+
+    module: Any = _load(example.name)
+    module.Crazyswarm = open_swarm
+    ended = True
+    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        warnings.simplefilter("ignore", CrazyswarmWarning)
+        try:
+            module.main()
+        except CrazyarenaError:
+            ended = False
+        made[0].allcfs.close()
+    guard = made[0].allcfs.guard
+    assert guard is not None
+    return ended, guard.gate.passed, list(guard.events)
+
+
 def is_intervention(event: SafetyEvent) -> bool:
     return event.severity >= Action.HOLD or event.rule.startswith("gate_")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--episodes", type=int, default=200, help="over all four levels")
-    parser.add_argument("--seed", type=int, default=2022)
-    options = parser.parse_args()
-    share = options.episodes // 4
+def fly_racer(episodes: int, seed: int) -> int:
+    """Fly through all levels and print what was found; returns the number of interventions."""
+    share = episodes // len(_LEVELS)
     interventions = 0
-    for index, name in enumerate(("level0", "level1", "level2", "level3")):
-        frames, flights = fly(name, share, options.seed + index)
+    for index, name in enumerate(_LEVELS):
+        frames, flights = fly(name, share, seed + index)
         good = [event for completed, events in flights if completed for event in events]
         alarms = [event for event in good if is_intervention(event)]
-        warnings = collections.Counter(event.rule for event in good if event not in alarms)
         interventions += len(alarms)
         print(
-            f"{name}: {share} episodes, {sum(done for done, _ in flights)} completed, "
-            f"{frames} frames, {len(alarms)} interventions, warnings {dict(warnings)}",
+            f"racer, {name}: {share} episodes, {sum(done for done, _ in flights)} completed, "
+            f"{frames} frames, {len(alarms)} interventions, warnings {_warnings(good)}",
             flush=True,
         )
         for event in alarms[:5]:
@@ -181,7 +262,47 @@ def main() -> None:
             if not completed:
                 rules = [event.rule for event in events if is_intervention(event)]
                 print(f"  episode {number} was not completed: {rules}")
-    print(f"{4 * share} episodes: {interventions} interventions")
+    return interventions
+
+
+def fly_examples(episodes: int, seed: int) -> int:
+    """The same for the Crazyswarm examples."""
+    share = episodes // (len(_LEVELS) * len(EXAMPLES))
+    interventions = 0
+    for example in EXAMPLES:
+        flights = [
+            fly_example(example, level, seed + share * index + number)
+            for index, level in enumerate(_LEVELS)
+            for number in range(share)
+        ]
+        told = [event for _, _, events in flights for event in events]
+        alarms = [event for event in told if is_intervention(event)]
+        interventions += len(alarms)
+        print(
+            f"{example.name}.py: {len(flights)} episodes, "
+            f"{sum(ended for ended, _, _ in flights)} completed, "
+            f"{sum(passed for _, passed, _ in flights)} commands, {len(alarms)} "
+            f"interventions, warnings {_warnings(told)}",
+            flush=True,
+        )
+        for event in alarms[:5]:
+            print(f"  {event}")
+    return interventions
+
+
+def _warnings(events: Events) -> dict[str, int]:
+    return dict(collections.Counter(e.rule for e in events if not is_intervention(e)))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--episodes", type=int, default=200, help="racer and examples together")
+    parser.add_argument("--seed", type=int, default=2022)
+    options = parser.parse_args()
+    scripts = 2 * options.episodes // 5
+    interventions = fly_racer(options.episodes - scripts, options.seed)
+    interventions += fly_examples(scripts, options.seed)
+    print(f"{options.episodes} episodes: {interventions} interventions")
     raise SystemExit(interventions > 0)
 
 

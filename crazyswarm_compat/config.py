@@ -61,12 +61,14 @@ class VehicleConfig:
 
 @dataclass(frozen=True, slots=True)
 class FleetConfig:
-    """The vehicles in file order, and how broadcasts are repeated on a radio."""
+    """The vehicles in file order, how broadcasts are repeated on a radio, and what the file says
+    about ``guard`` (see :mod:`.options`)."""
 
     vehicles: tuple[VehicleConfig, ...]
     source: str
     broadcast_repeats: int = 15
     broadcast_delay: float = 0.001
+    guard: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,7 +303,7 @@ def load_crazyflies_1(
             )
         )
     _unique_ids(vehicles, nodes)
-    return FleetConfig(tuple(vehicles), document.source)
+    return FleetConfig(tuple(vehicles), document.source, guard=_guard(document))
 
 
 def load_types_1(given: str | os.PathLike[str]) -> TypesConfig:
@@ -433,7 +435,19 @@ def load_crazyflies_2(given: str | os.PathLike[str]) -> FleetConfig:
         document.source,
         broadcast_repeats=15 if count.absent else count.integer(0, 1000),
         broadcast_delay=repeats.get("delay_between_repeats_ms").number(1.0) / 1e3,
+        guard=_guard(document),
     )
+
+
+def _guard(document: Node) -> str | None:
+    """Arena of the key ``guard``; a file is looked for beside the vehicle list first."""
+    node = document.get("guard")
+    if node.absent:
+        return None
+    text = node.text()
+    arena, comma, rest = text.partition(",")
+    beside = Path(document.source).parent / arena
+    return f"{beside}{comma}{rest}" if beside.is_file() else text
 
 
 def _channel(uri: str) -> int | None:

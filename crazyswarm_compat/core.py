@@ -20,7 +20,9 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.checks import check
 from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
+from crazyarena.crazyswarm_compat.guard import FleetGuard
 from crazyarena.crazyswarm_compat.hardware import PoseFeed, land_flying, start_hardware
+from crazyarena.crazyswarm_compat.registry import open_backend, open_guard
 from crazyarena.errors import BackendError, CommandError
 from crazyarena.types import VehicleContact, VehicleState
 
@@ -179,14 +181,25 @@ class VehiclesById(dict[int, Any]):
 class FleetCore:
     """All vehicles, and the broadcasts that both generations have in common."""
 
-    def __init__(self, backend: Backend, vehicles: Sequence[Any]) -> None:
-        self._backend = backend
+    guard: FleetGuard | None
+    """The safety around the fleet, if ``--guard`` asked for it."""
+
+    def __init__(
+        self, link: Backend, guard: FleetGuard | None, vehicles: Sequence[Any], timeHelper: Any
+    ) -> None:
+        self._link = link
+        self._backend: Backend = guard or link
+        self.guard = guard
         self._feed: PoseFeed | None = None
         self.crazyflies = list(vehicles)
         self.crazyfliesById = VehiclesById((cf.id, cf) for cf in self.crazyflies)
         # A script has no call that ends a fleet, and may keep only one of its vehicles: the
-        # link is released at exit, unless it has gone before.
-        atexit.register(_close, weakref.ref(backend))
+        # link is released at exit, unless it has gone before. A guard stays to the end.
+        if guard is None:
+            atexit.register(_close, weakref.ref(link))
+        else:
+            atexit.register(guard.close)
+            timeHelper.while_sleeping(guard.check)
 
     def _send(self, command: c.Command) -> None:
         check(command, EVERYBODY)
@@ -196,12 +209,13 @@ class FleetCore:
         self, fleet: FleetConfig, clock: Clock, mocap: str | None, watchdog: bool
     ) -> None:
         try:
-            self._feed = start_hardware(fleet, self._backend, clock, mocap, watchdog)
+            self._feed = start_hardware(fleet, self._link, clock, mocap, watchdog, self.guard)
         except BaseException:
-            self._backend.close()
+            self.close()
             raise
-        # Called before the link is released, as the latest registered.
-        atexit.register(_land, weakref.ref(self._backend), clock)
+        if self.guard is None:
+            # Called before the link is released, as the latest registered.
+            atexit.register(_land, weakref.ref(self._link), clock)
 
     @property
     def contacts(self) -> Sequence[VehicleContact]:
@@ -209,10 +223,13 @@ class FleetCore:
 
         Simulations with dynamics report them (and warn); other backends know of none.
         """
-        return tuple(getattr(self._backend, "contacts", ()))
+        return tuple(getattr(self._link, "contacts", ()))
 
     def close(self) -> None:
-        """Release the link; idempotent."""
+        """Release the link; a guarded fleet is landed first. Idempotent."""
+        if self.guard is not None:
+            atexit.unregister(self.guard.close)
+            self.guard.finish()
         if self._feed is not None:
             self._feed.close()
         self._backend.close()
@@ -245,6 +262,21 @@ class FleetCore:
         self._send(
             c.StartTrajectory(trajectoryId, timescale, bool(reverse), bool(relative), groupMask)
         )
+
+
+def open_fleet(
+    backend: str, fleet: FleetConfig, timeHelper: Any, guard: str | None
+) -> tuple[Backend, FleetGuard | None]:
+    """Open the link, and with ``guard`` (an arena) the safety around it."""
+    clock = timeHelper.clock
+    link = open_backend(backend, fleet, clock, getattr(timeHelper, "options", None))
+    if guard is None:
+        return link, None
+    try:
+        return link, open_guard(guard, fleet, link, clock)
+    except BaseException:
+        link.close()
+        raise
 
 
 def by_config(fleet: FleetConfig, backend: Backend) -> list[VehicleConfig]:

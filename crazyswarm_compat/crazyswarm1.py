@@ -24,15 +24,18 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.checks import check_param_name
 from crazyarena.crazyswarm_compat.config import FleetConfig, load_crazyflies_1, load_types_1
-from crazyarena.crazyswarm_compat.core import EVERYBODY, FleetCore, VehicleCore, by_config, vector
+from crazyarena.crazyswarm_compat.core import (
+    EVERYBODY,
+    FleetCore,
+    VehicleCore,
+    by_config,
+    open_fleet,
+    vector,
+)
 from crazyarena.crazyswarm_compat.hardware import with_uris
 from crazyarena.crazyswarm_compat.joystick import Joystick
-from crazyarena.crazyswarm_compat.options import parse, warn
-from crazyarena.crazyswarm_compat.registry import (
-    IdealState,
-    InspectableBackend,
-    open_backend,
-)
+from crazyarena.crazyswarm_compat.options import parse, warn, with_guard_of
+from crazyarena.crazyswarm_compat.registry import IdealState, InspectableBackend
 from crazyarena.crazyswarm_compat.timehelper import TimeHelper, WallTimeHelper, make_time_helper
 from crazyarena.crazyswarm_compat.visualizers import open_visualizer
 from crazyarena.errors import BackendError
@@ -226,22 +229,28 @@ class CrazyflieServer(FleetCore):
     crazyflies_yaml: path ending in ``.yaml``, or the YAML text.
     backend: name in :data:`.registry.ENTRIES`.
     uris, mocap, watchdog: see :func:`.hardware.with_uris`, :func:`.hardware.start_hardware`.
+    guard: arena in which the safety keeps the fleet, as ``--guard``; None for no safety.
     """
 
     def __init__(
         self,
         timeHelper: Any,
-        crazyflies_yaml: str | os.PathLike[str] = DEFAULT_YAML,
+        crazyflies_yaml: str | os.PathLike[str] | FleetConfig = DEFAULT_YAML,
         backend: str = "ideal",
         uris: str | None = None,
         mocap: str | None = None,
         watchdog: bool = False,
+        guard: str | None = None,
     ) -> None:
-        fleet = with_uris(_load_fleet(crazyflies_yaml, with_types=backend == "radio"), uris)
-        link = open_backend(backend, fleet, timeHelper.clock, getattr(timeHelper, "options", None))
-        super().__init__(
-            link, [Crazyflie(link, config, timeHelper) for config in by_config(fleet, link)]
-        )
+        if isinstance(crazyflies_yaml, FleetConfig):
+            fleet = crazyflies_yaml
+        else:
+            fleet = _load_fleet(crazyflies_yaml, with_types=backend == "radio")
+        fleet = with_uris(fleet, uris)
+        link, guarded = open_fleet(backend, fleet, timeHelper, guard)
+        configs = by_config(fleet, link)
+        cfs = [Crazyflie(guarded or link, config, timeHelper) for config in configs]
+        super().__init__(link, guarded, cfs, timeHelper)
         timeHelper.crazyflies = self.crazyflies
         if backend == "radio":
             self._start_hardware(fleet, timeHelper.clock, mocap, watchdog)
@@ -289,6 +298,8 @@ class Crazyswarm:
         parsed = parse(args, parent_parser)
         if crazyflies_yaml is None:
             crazyflies_yaml = parsed.crazyflies_yaml or DEFAULT_YAML
+        fleet = _load_fleet(crazyflies_yaml, with_types=parsed.backend == "radio")
+        parsed = with_guard_of(parsed, fleet)
         self.timeHelper: TimeHelper | WallTimeHelper
         if parsed.sim:
             self.timeHelper = make_time_helper(parsed, open_visualizer(parsed.vis), TimeHelper)
@@ -298,10 +309,11 @@ class Crazyswarm:
             self.timeHelper = WallTimeHelper(WallClock())
         self.allcfs = CrazyflieServer(
             self.timeHelper,
-            crazyflies_yaml,
+            fleet,
             parsed.backend,
             parsed.uri,
             parsed.mocap,
             parsed.watchdog,
+            parsed.guard,
         )
         self.input = Joystick(self.timeHelper)

@@ -25,12 +25,18 @@ from crazyarena.crazyswarm_compat.config import (
     VehicleConfig,
     load_crazyflies_2,
 )
-from crazyarena.crazyswarm_compat.core import EVERYBODY, FleetCore, VehicleCore, by_config, vector
+from crazyarena.crazyswarm_compat.core import (
+    EVERYBODY,
+    FleetCore,
+    VehicleCore,
+    by_config,
+    open_fleet,
+    vector,
+)
 from crazyarena.crazyswarm_compat.crazyswarm1 import Crazyflie as Viewed
 from crazyarena.crazyswarm_compat.hardware import with_uris
 from crazyarena.crazyswarm_compat.joystick import Joystick
-from crazyarena.crazyswarm_compat.options import parse, warn
-from crazyarena.crazyswarm_compat.registry import open_backend
+from crazyarena.crazyswarm_compat.options import parse, warn, with_guard_of
 from crazyarena.crazyswarm_compat.timehelper import (
     ExactTimeHelper,
     TimeHelper,
@@ -219,10 +225,12 @@ class CrazyflieServer(FleetCore):
         backend: str = "ideal",
         mocap: str | None = None,
         watchdog: bool = False,
+        guard: str | None = None,
     ) -> None:
-        link = open_backend(backend, fleet, timeHelper.clock, getattr(timeHelper, "options", None))
+        link, guarded = open_fleet(backend, fleet, timeHelper, guard)
         configs = by_config(fleet, link)
-        super().__init__(link, [Crazyflie(link, config, timeHelper) for config in configs])
+        cfs = [Crazyflie(guarded or link, config, timeHelper) for config in configs]
+        super().__init__(link, guarded, cfs, timeHelper)
         self.crazyfliesByName = {
             config.name: cf for config, cf in zip(configs, self.crazyflies, strict=True)
         }
@@ -236,7 +244,7 @@ class CrazyflieServer(FleetCore):
     @property
     def paramTypeDict(self) -> dict[str, dict[str, int]]:
         """Declared ROS types of the parameters by vehicle name: 2 integer, 3 double."""
-        names = getattr(self._backend, "param_names", None)
+        names = getattr(self._link, "param_names", None)
         if names is None:
             return {}
         return {
@@ -287,6 +295,7 @@ class Crazyswarm:
     ) -> None:
         parsed = parse(args, None)
         fleet = load_crazyflies_2(crazyflies_yaml or parsed.crazyflies_yaml or _find(parsed.sim))
+        parsed = with_guard_of(parsed, fleet)
         self.timeHelper: TimeHelper | WallTimeHelper
         if parsed.sim:
             self.timeHelper = make_time_helper(parsed, open_visualizer(parsed.vis), ExactTimeHelper)
@@ -300,6 +309,7 @@ class Crazyswarm:
             parsed.backend,
             parsed.mocap,
             parsed.watchdog,
+            parsed.guard,
         )
         self.input = Joystick(self.timeHelper)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +11,7 @@ from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.commands import Land
 from crazyarena.crazyswarm_compat.config import FleetConfig
+from crazyarena.crazyswarm_compat.guard import FleetGuard
 from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.registry import pose_parts
 from crazyarena.errors import InputError
@@ -52,6 +54,11 @@ class PoseFeed:
     spec: ``SOURCE`` or ``SOURCE:HOST`` as in ``--mocap``; a zenoh host is an endpoint such as
         ``tcp/127.0.0.1:7447``. Bodies are named like the vehicles of ``fleet``.
     rate: poses per second and vehicle.
+    on_frame: called with every frame and what the estimator made of it.
+
+    Attributes
+    ----------
+    estimate: ``estimate(name)`` is a body's estimate now.
 
     Raises
     ------
@@ -62,7 +69,13 @@ class PoseFeed:
     """
 
     def __init__(
-        self, spec: str, fleet: FleetConfig, backend: Backend, clock: Clock, rate: float = 100.0
+        self,
+        spec: str,
+        fleet: FleetConfig,
+        backend: Backend,
+        clock: Clock,
+        rate: float = 100.0,
+        on_frame: Sequence[Callable[[Any, Any], None]] = (),
     ) -> None:
         kind, _, host = spec.partition(":")
         options: dict[str, Any] = {}
@@ -76,7 +89,10 @@ class PoseFeed:
         forwarder = parts["PoseForwarder"](
             names, backend.send_external_poses, clock, rate=rate, threaded=True
         )
-        self._pipeline = parts["PosePipeline"](source, estimator, clock, forwarder=forwarder)
+        self._pipeline = parts["PosePipeline"](
+            source, estimator, clock, forwarder=forwarder, on_frame=on_frame
+        )
+        self.estimate: Callable[[str], Any] = self._pipeline.estimate
         self._pipeline.start()
 
     def close(self) -> None:
@@ -129,31 +145,44 @@ def _compare_starts(fleet: FleetConfig, backend: Backend) -> None:
 
 
 def start_hardware(
-    fleet: FleetConfig, backend: Backend, clock: Clock, mocap: str | None, watchdog: bool
+    fleet: FleetConfig,
+    backend: Backend,
+    clock: Clock,
+    mocap: str | None,
+    watchdog: bool,
+    guard: FleetGuard | None = None,
 ) -> PoseFeed | None:
     """Feed poses from ``mocap`` and prepare the vehicles; None leaves both to somebody else.
 
-    ``watchdog`` arms the onboard emergency-stop watchdog, fed until the link is closed.
+    ``watchdog`` arms the onboard emergency-stop watchdog, fed until the link is closed; a
+    ``guard`` arms and feeds it by itself, and gets all poses first.
 
     Raises
     ------
+    InputError
+        for a guard without poses.
     BackendError
         naming each vehicle that is not ready to fly, and why.
     """
     if mocap is None:
+        if guard is not None:
+            raise InputError("--guard: watches real vehicles by their poses; add --mocap")
         warn(
             "no --mocap: the vehicles get no external poses from this script and are not "
             "prepared for flight"
         )
         return None
-    feed = PoseFeed(mocap, fleet, backend, clock)
+    listeners = () if guard is None else (guard.on_frame,)
+    feed = PoseFeed(mocap, fleet, guard or backend, clock, on_frame=listeners)
     prepare = getattr(backend, "prepare", None)
     try:
+        if guard is not None:
+            guard.watch(feed.estimate)
         if prepare is not None:
             prepare()
             _compare_starts(fleet, backend)
         arm_watchdog = getattr(backend, "arm_watchdog", None)
-        if watchdog and arm_watchdog is not None:
+        if watchdog and guard is None and arm_watchdog is not None:
             arm_watchdog(feed_period=0.2)
     except BaseException:
         feed.close()

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import copy
 import math
+import os
 import sys
 import warnings
 from collections.abc import Sequence
 
+from crazyarena.crazyswarm_compat.config import FleetConfig
 from crazyarena.crazyswarm_compat.registry import ENTRIES, SIMULATED
 from crazyarena.errors import InputError
 
 # Perfect tracking is made for ten frames per second; dynamics need commands between frames.
 DEFAULT_DT = 0.1
 DEFAULT_DT_DYNAMICS = 0.01
+# What --guard says for scripts that are started by something else.
+GUARD_VARIABLE = "CRAZYARENA_GUARD"
+NO_GUARD = "none"
 
 
 class CrazyswarmWarning(UserWarning):
@@ -83,6 +89,15 @@ def build_argparser(
         help="[radio, with --mocap] arm the onboard emergency-stop watchdog: motors stop one "
         "second after this program dies, ends or loses the link; then restart the vehicle",
     )
+    parser.add_argument(
+        "--guard",
+        metavar="ARENA[,KEY=VALUE...]",
+        help="fly under the safety of the arena: command gate, fence, watchdog and emergency stop. "
+        "ARENA is a level or a file with an arena; keys are policy (clamp or refuse), seed (of "
+        "simulated cameras) and every safety limit. --sim then means --backend sim; real vehicles "
+        f"need --mocap. Also {GUARD_VARIABLE}=ARENA, or 'guard: ARENA' in the vehicle list; "
+        f"'{NO_GUARD}' overrides both",
+    )
     return parser
 
 
@@ -104,11 +119,39 @@ def parse(
     elif isinstance(args, str):
         args = args.split()
     parsed, _ = parser.parse_known_args(args)
+    parsed.guard = parsed.guard or os.environ.get(GUARD_VARIABLE) or None
+    return _completed(parsed)
+
+
+def with_guard_of(parsed: argparse.Namespace, fleet: FleetConfig) -> argparse.Namespace:
+    """The flags with the guard of the vehicle list, if they name none themselves."""
+    if fleet.guard is None or parsed.given.guard is not None:
+        return parsed
+    given = copy.copy(parsed.given)
+    given.guard = fleet.guard
+    return _completed(given)
+
+
+def _completed(given: argparse.Namespace) -> argparse.Namespace:
+    """A copy in which what was left out is filled in and contradictions are refused."""
+    parsed = copy.copy(given)
+    parsed.given = given
+    if parsed.guard == NO_GUARD:
+        parsed.guard = None
     if parsed.backend is None:
-        parsed.backend = "ideal" if parsed.sim else "radio"
+        # Perfect tracking has no dynamics: nothing could be guarded there.
+        simulated = "ideal" if parsed.guard is None else "sim"
+        parsed.backend = simulated if parsed.sim else "radio"
     elif parsed.sim and parsed.backend not in SIMULATED:
         raise InputError(f"--sim: contradicts --backend {parsed.backend}; give one of the two")
     parsed.sim = parsed.backend in SIMULATED
+    if parsed.guard is not None:
+        if parsed.backend == "ideal":
+            raise InputError(
+                "--guard: perfect tracking has no dynamics to guard; use --backend sim or pybullet"
+            )
+        if not parsed.sim and parsed.mocap is None:
+            raise InputError("--guard: watches real vehicles by their poses; add --mocap")
     if parsed.dt is None:
         parsed.dt = DEFAULT_DT if parsed.backend == "ideal" else DEFAULT_DT_DYNAMICS
     if not (math.isfinite(parsed.dt) and parsed.dt > 0):

@@ -16,6 +16,7 @@ from typing import Any, Protocol, runtime_checkable
 from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.config import FleetConfig
+from crazyarena.crazyswarm_compat.guard import FleetGuard
 from crazyarena.errors import BackendError, InputError
 from crazyarena.types import Vector
 
@@ -73,6 +74,14 @@ class BackendFactory(Protocol):
     def __call__(self, fleet: FleetConfig, clock: Clock, options: SimOptions) -> Backend: ...
 
 
+class GuardFactory(Protocol):
+    """Signature of the function named in :data:`GUARD`; ``arena`` is what ``--guard`` says."""
+
+    def __call__(
+        self, arena: str, fleet: FleetConfig, link: Backend, clock: Clock
+    ) -> FleetGuard: ...
+
+
 ENTRIES: dict[str, str] = {
     "ideal": "crazyarena.sim_backend.ideal_backend:open_ideal",
     "sim": "crazyarena.sim_backend.swarm_backend:open_arena",
@@ -88,6 +97,8 @@ POSE_PARTS = {
     "PoseForwarder": "crazyarena.mocap.forwarder:PoseForwarder",
     "PosePipeline": "crazyarena.mocap.pipeline:PosePipeline",
 }
+# The arena's safety around a fleet; called as GuardFactory below.
+GUARD = "crazyarena.runner.guarded:open_guard"
 SIMULATED = frozenset({"ideal", "sim", "pybullet"})  # these run on a virtual clock
 
 
@@ -119,6 +130,13 @@ def open_backend(
             f"backend {name!r}: {ENTRIES[name]} is not part of this installation ({error})"
         ) from error
     return factory(fleet, clock, options or SimOptions())
+
+
+def open_guard(arena: str, fleet: FleetConfig, link: Backend, clock: Clock) -> FleetGuard:
+    """Put the safety around an open ``link``; raises InputError for a wrong ``arena``."""
+    module, function = GUARD.split(":")
+    factory: GuardFactory = getattr(importlib.import_module(module), function)
+    return factory(arena, fleet, link, clock)
 
 
 def pose_parts() -> dict[str, Any]:

@@ -15,6 +15,7 @@ from crazyarena.crazyswarm_compat.visualizers import VisNull
 from crazyarena.errors import CommandError
 
 _RESIDUAL_TOLERANCE = 1e-9
+_SLICE = 0.05  # s, of a real sleep between looks at what might end it
 
 
 def _check_duration(duration: float) -> None:
@@ -36,6 +37,7 @@ class WallTimeHelper:
         self._rate = 0.0
         self._next = 0.0
         self._after_sleep: list[Callable[[], None]] = []
+        self._while_sleeping: list[Callable[[], None]] = []
 
     def time(self) -> float:
         """Seconds since the start."""
@@ -45,9 +47,22 @@ class WallTimeHelper:
         """Call ``callback()`` whenever a sleep ends."""
         self._after_sleep.append(callback)
 
+    def while_sleeping(self, callback: Callable[[], None]) -> None:
+        """Call ``callback()`` again and again in a sleep; what it raises ends the sleep."""
+        self._while_sleeping.append(callback)
+
     def _sleep_until(self, deadline: float) -> None:
+        if self._while_sleeping:
+            while (wake := self.clock.now() + _SLICE) < deadline:
+                self.clock.sleep_until(wake)
+                self._look()
         self.clock.sleep_until(deadline)
+        self._look()
         for callback in self._after_sleep:
+            callback()
+
+    def _look(self) -> None:
+        for callback in self._while_sleeping:
             callback()
 
     def sleep(self, duration: float) -> None:
@@ -103,6 +118,7 @@ class TimeHelper:
             self.videoWriter = VideoWriter(videopath, dt, frame.shape[:2])
         self._observers: list[Any] = []
         self._after_sleep: list[Callable[[], None]] = []
+        self._while_sleeping: list[Callable[[], None]] = []
 
     @property
     def t(self) -> float:
@@ -165,6 +181,8 @@ class TimeHelper:
         if self.videoWriter is not None:
             self.videoWriter.writeFrame(self.visualizer.render())
         self.clock.sleep_until(now + duration)
+        for callback in self._while_sleeping:
+            callback()
 
     def addObserver(self, observer: Any) -> None:
         """Call ``observer(t, crazyflies)`` (or its ``update``) before every tick."""
@@ -178,6 +196,10 @@ class TimeHelper:
     def after_sleep(self, callback: Callable[[], None]) -> None:
         """Call ``callback()`` whenever a sleep ends."""
         self._after_sleep.append(callback)
+
+    def while_sleeping(self, callback: Callable[[], None]) -> None:
+        """Call ``callback()`` after every step; what it raises ends the sleep."""
+        self._while_sleeping.append(callback)
 
     def close(self) -> None:
         """Finish the log files and the film; idempotent."""

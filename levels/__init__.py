@@ -4,7 +4,7 @@ Importing this package costs pydantic and PyYAML only; :mod:`crazyarena.levels.d
 :mod:`crazyarena.levels.contract` bring numpy and munch, and are imported by those who need them.
 """
 
-from crazyarena.levels.load import dump_level, load_level, shipped_levels
+from crazyarena.levels.load import dump_level, load_arena, load_level, shipped_levels
 from crazyarena.levels.schema import (
     Arena,
     Disturbances,
@@ -40,6 +40,7 @@ __all__ = [
     "Start",
     "Track",
     "dump_level",
+    "load_arena",
     "load_level",
     "shipped_levels",
 ]

@@ -6,7 +6,7 @@ import difflib
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import ValidationError
@@ -14,8 +14,9 @@ from pydantic import ValidationError
 from crazyarena.errors import InputError
 from crazyarena.levels import competition
 from crazyarena.levels.document import MAX_DEPTH, Node, found, parse, read
-from crazyarena.levels.schema import Level
+from crazyarena.levels.schema import Arena, ArenaFile, Level
 
+_File = TypeVar("_File", Level, ArenaFile)
 _FOLDER = Path(__file__).parent
 _SEGMENT = re.compile(r"([^.\[\]]+)((?:\[\d{1,6}\])*)")
 
@@ -38,16 +39,7 @@ def load_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Level
     ------
     InputError: naming file, line, column, field, what was found and what is allowed.
     """
-    text = str(name_or_path)
-    if text in shipped_levels():
-        path, shown = _FOLDER / f"{text}.yaml", f"{text}.yaml"
-    else:
-        path, shown = _existing(text), text
-    root = read(path, shown)
-    if root.value is None:
-        root.fail("the file is empty; expected a level (see docs/levels.md)")
-    if not isinstance(root.value, dict):
-        root.expected("a level as a mapping of fields")
+    path, root = _read(name_or_path)
     assignments = [_assignment(override) for override in overrides]
     foreign = competition.is_competition(root)
     if foreign:
@@ -61,7 +53,36 @@ def load_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Level
     if "name" not in root.value:
         stem = re.sub(r"[^A-Za-z0-9_.-]", "_", path.stem).lstrip("_.-")[:64] or "level"
         root = _assign(root, ["name"], Node(stem, "name", root.source))
-    return _validate(root)
+    return _validate(root, Level)
+
+
+def load_arena(name_or_path: str | Path) -> tuple[Arena, Level | None]:
+    """Load the arena of a level (see :func:`load_level`), or of a file with nothing but an
+    ``arena``; the level is None for the latter.
+
+    Raises
+    ------
+    InputError: as :func:`load_level`.
+    """
+    _, root = _read(name_or_path)
+    if "arena" in root.value and set(root.value) <= set(ArenaFile.model_fields):
+        return _validate(root, ArenaFile).arena, None
+    level = load_level(name_or_path)
+    return level.arena, level
+
+
+def _read(name_or_path: str | Path) -> tuple[Path, Node]:
+    text = str(name_or_path)
+    if text in shipped_levels():
+        path, shown = _FOLDER / f"{text}.yaml", f"{text}.yaml"
+    else:
+        path, shown = _existing(text), text
+    root = read(path, shown)
+    if root.value is None:
+        root.fail("the file is empty; expected a level (see docs/levels.md)")
+    if not isinstance(root.value, dict):
+        root.expected("a level as a mapping of fields")
+    return path, root
 
 
 def dump_level(level: Level) -> str:
@@ -138,9 +159,9 @@ def _assign(node: Node, keys: list[str | int], value: Node) -> Node:
     return Node(members, node.path, node.source)
 
 
-def _validate(root: Node) -> Level:
+def _validate(root: Node, model: type[_File]) -> _File:
     try:
-        return Level.model_validate(root.plain())
+        return model.model_validate(root.plain())
     except ValidationError as error:
         items = error.errors(include_url=False)
     # A bad member also makes pydantic find its list too short: that is one problem, not two.

@@ -330,6 +330,13 @@ class Arena(_Model):
         return all(a <= value <= b for a, value, b in zip(low, point, high, strict=True))
 
 
+class ArenaFile(_Model):
+    """A file with nothing but an arena, for flights without a track."""
+
+    name: str = "arena"
+    arena: Arena
+
+
 class Start(_Model):
     """Nominal state at the beginning of an episode."""
 

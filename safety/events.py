@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -48,3 +49,10 @@ class SafetyEvent:
     time: float
     vehicle: int | None = None
     detail: str = ""
+
+    @property
+    def cause(self) -> str:
+        """Rule, numbers and detail, for people."""
+        numbers = f" ({self.measured:.3g}, limit {self.limit:.3g})"
+        text = self.rule + ("" if math.isnan(self.measured) else numbers)
+        return f"{text} {self.detail}".rstrip()

@@ -1,8 +1,9 @@
 """An arena in virtual time: one ``arena`` vehicle, its radio link and the cameras around it.
 
 What stands behind the three interfaces of a trial in a dry run: the clock is an
-:class:`EventClock`, the vehicle link is :class:`SimulatedLink`, the pose source is the
-simulated camera system. Everything that flies a trial lies on this side of those interfaces.
+:class:`~crazyarena.clock.VirtualClock`, the vehicle link is :class:`SimulatedLink`, the pose
+source is the simulated camera system. Everything that flies a trial lies on this side of those
+interfaces.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,31 +39,6 @@ _STREAMED = (
 # Of a BMI088 at rest, as the estimator sees it.
 SENSOR_NOISE = SensorNoise(gyro=0.1, accelerometer=0.003)
 _RETRY = 0.01  # s, until a lost request is sent again
-
-
-class EventClock(VirtualClock):
-    """Virtual time that stops at every event on its way.
-
-    ``sleep_until`` advances to the earliest time that any of the registered ``next_event``
-    functions names, calls everybody who follows the clock, and so on until the deadline.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._next: list[Callable[[], float]] = []
-
-    def stop_at(self, next_event: Callable[[], float]) -> None:
-        """Ask ``next_event()`` (s) where to stop."""
-        self._next.append(next_event)
-
-    def sleep_until(self, deadline: float) -> float:
-        with self._lock:
-            while self._now < deadline:
-                coming = min((event() for event in self._next), default=deadline)
-                self._now = coming if self._now < coming < deadline else deadline
-                for advance in self._advance:
-                    advance(self._now)
-            return 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,7 +249,7 @@ class SimulatedArena:
         motions: Sequence[GateMotion | None] = (),
     ) -> None:
         for_link, for_cameras, for_sensors = rng.spawn(3)
-        self.clock = EventClock()
+        self.clock = VirtualClock()
         self.vehicle = vehicle
         self.body = f"cf{vehicle}"
         self.fleet = ArenaFleet(

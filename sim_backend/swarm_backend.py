@@ -130,6 +130,10 @@ class ArenaBackend:
         """Deliver further poses, besides those of the room's motion-capture system."""
         self._fleet.external_poses({self._at(vehicle): pose for vehicle, pose in poses.items()})
 
+    def arm_watchdog(self, vehicle: int) -> None:
+        """Start, and from then on feed, the emergency-stop watchdog of a vehicle."""
+        self._fleet.emergency_watchdog(self._at(vehicle))
+
     def telemetry(self, vehicle: int) -> Telemetry:
         """Health, and the true state: what Crazyswarm shows in simulation."""
         index = self._at(vehicle)
