@@ -3,8 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Protocol
 
 from crazyarena.types import Pose, PoseFrame
+
+
+class PushedCameras(Protocol):
+    """Cameras that are shown the world by whoever simulates it, at the times they name."""
+
+    @property
+    def next_exposure(self) -> float:
+        """When the next frame is to be taken, s."""
+        ...
+
+    def expose(self, time: float, truth: Mapping[str, Pose]) -> None:
+        """Take one frame of the true poses at ``time``."""
+        ...
+
+    def frames(self, timeout: float = 0.0) -> list[PoseFrame]:
+        """Frames that have arrived since the last call."""
+        ...
 
 
 class IdealCameras:

@@ -11,16 +11,16 @@ from typing import Any
 
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
-from crazyarena.mocap.sim_source import SimSource
 from crazyarena.mocap.zenoh_link import ZenohPublisher
 from crazyarena.sim_backend.crtp.faults import Faults
-from crazyarena.sim_backend.crtp.film import IdealCameras
+from crazyarena.sim_backend.crtp.film import PushedCameras
 from crazyarena.sim_backend.crtp.link import BASE_PORT, UdpLink
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
 
 _WAKE_MS = 4  # between wake-ups when nothing arrives
 _STALL_MS = 50  # behind wall time by more than this is worth counting
 _SLICE_MS = 100  # caught up at a time, between looks at the sockets
+_FILM_MS = 4  # between looks of the cameras: after a stall, too, they have seen every place
 
 
 @dataclass(slots=True)
@@ -63,7 +63,7 @@ class VirtualServer:
         *,
         faults: Faults | None = None,
         clock: Clock | None = None,
-        cameras: SimSource | IdealCameras | None = None,
+        cameras: PushedCameras | None = None,
         publisher: ZenohPublisher | None = None,
         seed: int = 0,
     ) -> None:
@@ -188,9 +188,12 @@ class VirtualServer:
             self.pace.stalls += 1
         if behind >= _WAKE_MS:
             ticks = min(behind, _SLICE_MS)
-            self.swarm.advance(ticks, self._say)
             self.pace.ticks += ticks
-            self._film()
+            while ticks > 0:
+                piece = ticks if self._cameras is None else min(ticks, _FILM_MS)
+                self.swarm.advance(piece, self._say)
+                ticks -= piece
+                self._film()
         now = self._clock.now()
         for link in self.links:
             link.flush(now)
@@ -212,7 +215,6 @@ class VirtualServer:
     def _film(self) -> None:
         if self._cameras is None:
             return
-        # A slice of the past, after a stall, is seen as it is now: cameras cannot look back.
         time = self._wall(self.swarm.fleet.tick)
         if self._cameras.next_exposure <= time:
             truth = self.swarm.truth()

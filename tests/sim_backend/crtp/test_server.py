@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 import pytest
@@ -17,9 +17,10 @@ from crazyarena.mocap.zenoh_link import ZenohSource
 from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.crtp import host as hosts
 from crazyarena.sim_backend.crtp.faults import Faults
+from crazyarena.sim_backend.crtp.film import IdealCameras
 from crazyarena.sim_backend.crtp.server import VirtualServer
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
-from crazyarena.types import PoseFrame
+from crazyarena.types import Pose, PoseFrame
 
 _PROBE = b"\xff"
 _ECHO = bytes.fromhex("fc010203")
@@ -104,16 +105,16 @@ def test_time_passes_like_wall_time(server: VirtualServer) -> None:
     )
 
 
+class _Jumping(WallClock):
+    ahead = 0.0
+
+    def now(self) -> float:
+        return super().now() + self.ahead
+
+
 def test_a_stall_is_caught_up_and_nothing_is_skipped() -> None:
     """The clock jumps ahead; every millisecond of the gap is simulated all the same."""
-
-    class Jumping(WallClock):
-        ahead = 0.0
-
-        def now(self) -> float:
-            return super().now() + self.ahead
-
-    clock = Jumping()
+    clock = _Jumping()
     swarm = _swarm()
     heard: list[int] = []
     with VirtualServer(swarm, port=0, clock=clock) as server:
@@ -134,6 +135,26 @@ def test_a_stall_is_caught_up_and_nothing_is_skipped() -> None:
         client.close()
     # Log data of the whole stall, every 10 ms.
     assert np.diff(heard) == pytest.approx(np.full(299, 10), abs=2)
+
+
+def test_cameras_see_a_stall_as_it_went() -> None:
+    """Frames of the time that is caught up show each moment of it, not all the same one."""
+    clock = _Jumping()
+    swarm = _swarm()
+    exposures: list[tuple[float, int]] = []
+
+    class Cameras(IdealCameras):
+        def expose(self, time: float, truth: Mapping[str, Pose]) -> None:
+            exposures.append((time, swarm.fleet.tick))
+            super().expose(time, truth)
+
+    with VirtualServer(swarm, port=0, clock=clock, cameras=Cameras(clock.now(), 100.0)) as server:
+        _wait(lambda: len(exposures) > 5)
+        clock.ahead = 1.0
+        _wait(lambda: len(exposures) > 120)
+        assert server.pace.worst >= 900
+    times, ticks = np.array(exposures).T
+    assert times - 1e-3 * ticks == pytest.approx(np.full(len(times), times[0]), abs=0.012)
 
 
 def test_faults_while_it_runs(server: VirtualServer, client: _Client) -> None:
