@@ -12,10 +12,13 @@ from rich.table import Table
 
 from crazyarena.runner.campaign import FAULTS, Outcome, summarise
 
+SIMULATED = "Fault campaign in simulation"
+UDP = "Fault campaign over the virtual radio, in real time"
 
-def table(outcomes: Sequence[Outcome]) -> Table:
+
+def table(outcomes: Sequence[Outcome], title: str = SIMULATED) -> Table:
     """One row per fault."""
-    view = Table(title=None)
+    view = Table(title=title)
     for name in ("fault", "flights", "safe", "landed", "cut", "taken over"):
         view.add_column(name, justify="left" if name == "fault" else "right", no_wrap=True)
     view.add_column("worst outside fence, m", justify="right")
@@ -31,7 +34,7 @@ def table(outcomes: Sequence[Outcome]) -> Table:
     return view
 
 
-def write_json(path: Path, outcomes: Sequence[Outcome]) -> None:
+def write_json(path: Path, outcomes: Sequence[Outcome], title: str = SIMULATED) -> None:
     """Every flight with its events; infinities become null."""
 
     def plain(value: object) -> object:
@@ -44,21 +47,23 @@ def write_json(path: Path, outcomes: Sequence[Outcome]) -> None:
         return value
 
     document = {
+        "campaign": title,
         "summary": plain(summarise(outcomes)),
         "flights": [plain(asdict(outcome)) for outcome in outcomes],
     }
     path.write_text(json.dumps(document, indent=1) + "\n")
 
 
-def save_figure(path: Path, outcomes: Sequence[Outcome]) -> None:
+def save_figure(path: Path, outcomes: Sequence[Outcome], title: str = SIMULATED) -> None:
     """Every flight as a dot: how far outside the fence, and how long until safe, per fault."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     names = list(dict.fromkeys(outcome.fault for outcome in outcomes))
     colours = {"software": "tab:blue", "link": "tab:orange", "physical": "tab:red"}
-    figure = Figure(figsize=(10, 1.2 + 0.28 * len(names)), layout="constrained")
+    figure = Figure(figsize=(10, 1.5 + 0.28 * len(names)), layout="constrained")
     FigureCanvasAgg(figure)
+    figure.suptitle(title)
     left, right = figure.subplots(1, 2, sharey=True)
     for row, name in enumerate(names):
         mine = [outcome for outcome in outcomes if outcome.fault == name]

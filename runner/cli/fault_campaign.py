@@ -20,18 +20,38 @@ def fault_campaign(
         list[str] | None, typer.Option(help="Only this fault; may be repeated. Default: all.")
     ] = None,
     level: Annotated[str, typer.Option(help="Level whose arena is flown in.")] = "level0",
+    udp: Annotated[
+        bool,
+        typer.Option(
+            "--udp",
+            help="Fly in real time over the virtual radio: cflib, cameras over zenoh, the ground "
+            "station in a process of its own. 13 s a flight; not every fault.",
+        ),
+    ] = False,
     margin: Annotated[
         float,
         typer.Option(
             min=0.0, help="m beyond the hard fence allowed to motor, wind and link faults."
         ),
     ] = 2.0,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
-    out: Annotated[Path, typer.Option(help="Folder for campaign.json and campaign.png.")] = Path(
-        "runs/fault-campaign"
-    ),
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Flights side by side. Default: 1, with --udp 2.", show_default=False
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for campaign.json and campaign.png. Default: runs/fault-campaign, with "
+            "--udp runs/fault-campaign-udp.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
-    """Fly every kind of fault in simulation and show what the safety made of it.
+    """Fly every kind of fault and show what the safety made of it.
+
+    In simulation, as fast as it goes, or with --udp over the virtual radio.
 
     Exit code: 0 when every flight ended landed or with motors cut, inside the hard fence plus
     0.10 m (plus --margin where no software can help), 1 when not.
@@ -41,26 +61,27 @@ def fault_campaign(
         from rich.progress import Progress
 
         from crazyarena.errors import InputError
-        from crazyarena.runner import campaign_report
-        from crazyarena.runner.campaign import FAULTS, failures, run_campaign
+        from crazyarena.runner import campaign, campaign_report, campaign_udp
 
         console = Console()
         if not console.is_terminal:
             console = Console(width=120)
-        names = fault or list(FAULTS)
+        names = fault or list(campaign_udp.UDP_FAULTS if udp else campaign.FAULTS)
+        run = campaign_udp.run_campaign if udp else campaign.run_campaign
+        title = campaign_report.UDP if udp else campaign_report.SIMULATED
+        workers = workers or (2 if udp else 1)
+        out = out or Path("runs", "fault-campaign-udp" if udp else "fault-campaign")
         try:
             out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"--out {out}: cannot make this folder: {error.strerror}") from None
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task("flying", total=seeds * len(names))
-            outcomes = run_campaign(
-                names, seeds, level, workers, lambda outcome: progress.advance(task)
-            )
-        campaign_report.write_json(out / "campaign.json", outcomes)
-        campaign_report.save_figure(out / "campaign.png", outcomes)
-        console.print(campaign_report.table(outcomes))
-        failed = failures(outcomes, margin)
+            outcomes = run(names, seeds, level, workers, lambda outcome: progress.advance(task))
+        campaign_report.write_json(out / "campaign.json", outcomes, title)
+        campaign_report.save_figure(out / "campaign.png", outcomes, title)
+        console.print(campaign_report.table(outcomes, title))
+        failed = campaign.failures(outcomes, margin)
         safe = sum(outcome.safe for outcome in outcomes)
         console.print(f"{safe} of {len(outcomes)} flights ended in a safe state. Results in {out}")
         for outcome in failed:

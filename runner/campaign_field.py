@@ -1,0 +1,296 @@
+"""The far side of a campaign flight over UDP: vehicle, radio and cameras, in a process of its own.
+
+``python -m crazyarena.runner.campaign_field`` talks as :mod:`.json_child` does. It is told
+``fault``, ``seed`` and ``level_file``, answers with ``uri`` and ``endpoint``, is told ``go``, the
+host's time of the take-off, and answers at the end with what truly happened. It serves until
+nobody speaks to it any more.
+"""
+
+from __future__ import annotations
+
+import math
+import queue
+import socket
+import threading
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from crazyarena.clock import Clock, WallClock
+from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.errors import InputError
+from crazyarena.levels import load_level
+from crazyarena.mocap.camera_model import CameraModel
+from crazyarena.mocap.sim_source import SimSource
+from crazyarena.mocap.stamps import HostStamps
+from crazyarena.mocap.zenoh_link import ZenohPublisher
+from crazyarena.runner.campaign import (
+    _LAND_TIME,
+    _MISSION,
+    _PATIENCE,
+    _REST,
+    FAULTS,
+    VEHICLE,
+    FaultyCameras,
+)
+from crazyarena.runner.campaign_plan import Plan, draw_plan
+from crazyarena.runner.json_child import Message, Tell, converse
+from crazyarena.runner.realtime import raise_priority
+from crazyarena.safety.fence import Fence
+from crazyarena.safety.monitors import CRASHED, LOCKED
+from crazyarena.sim_backend.arena import ArenaFleet
+from crazyarena.sim_backend.arena_world import SENSOR_NOISE
+from crazyarena.sim_backend.crtp.faults import Faults
+from crazyarena.sim_backend.crtp.server import VirtualServer
+from crazyarena.sim_backend.crtp.swarm import Send, VirtualSwarm
+from crazyarena.sim_backend.physics.competition_step import B_VEL, P_MASS
+from crazyarena.types import Pose
+
+if TYPE_CHECKING:
+    from crazyarena.runner.campaign import Flight
+
+# What befalls cameras, radio and vehicle; the rest befalls the ground station.
+STRIKES = frozenset(
+    {
+        "mocap_dropout",
+        "mocap_freeze",
+        "mocap_jump",
+        "latency_growth",
+        "radio_loss",
+        "radio_burst",
+        "radio_cut",
+        "radio_cut_at_wall",
+        "battery_sag",
+        "motor_failure",
+        "wind_gust",
+    }
+)
+_RADIO = Faults(latency=0.006, jitter=0.003)  # one way
+_CAMERA_RATE = 100.0  # Hz
+_LOOK_MS = 4  # between looks at the vehicle
+_PORTS = 5  # tried, until one is free
+
+
+class ArenaCameras(FaultyCameras):
+    """Faulty cameras that are shown the world by whoever simulates it."""
+
+    def __init__(self, source: SimSource, clock: Clock) -> None:
+        super().__init__(source, clock)
+        self._pushed = source
+
+    @property
+    def next_exposure(self) -> float:
+        """Session time of the next exposure, s."""
+        return self._pushed.next_exposure
+
+    def expose(self, time: float, truth: Mapping[str, Pose]) -> None:
+        """Take one frame of the true poses at ``time``."""
+        self._pushed.expose(time, truth)
+
+
+class FaultyRadio:
+    """``loss`` and ``cut`` of a server's link, as the campaign's faults set them."""
+
+    def __init__(self, server: VirtualServer) -> None:
+        self._server = server
+
+    @property
+    def loss(self) -> float:
+        """Probability that a packet is lost, each way."""
+        return self._server.links[0].faults.loss
+
+    @loss.setter
+    def loss(self, share: float) -> None:
+        self._server.set_faults(loss=share)
+
+    @property
+    def cut(self) -> bool:
+        """Nothing passes while True."""
+        return self._server.links[0].faults.cut_until == math.inf
+
+    @cut.setter
+    def cut(self, cut: bool) -> None:
+        self._server.set_faults(cut_until=math.inf if cut else -math.inf)
+
+
+class Witness(VirtualSwarm):
+    """A swarm that lets ``look()`` see the vehicle every few milliseconds of its time."""
+
+    look: Callable[[], None]
+
+    def advance(self, ticks: int, send: Send) -> None:
+        while ticks > 0:
+            piece = min(ticks, _LOOK_MS)
+            super().advance(piece, send)
+            self.look()
+            ticks -= piece
+
+
+class Field:
+    """One flight as it truly is; public members are what faults use and change.
+
+    Parameters
+    ----------
+    on_end: called once with the report, when the motors are off for good or patience ends.
+    """
+
+    def __init__(
+        self,
+        fault: str,
+        plan: Plan,
+        fence: Fence,
+        clock: Clock,
+        fleet: ArenaFleet,
+        cameras: FaultyCameras,
+        radio: FaultyRadio,
+        on_end: Callable[[Message], None],
+    ) -> None:
+        self.rng = plan.rng
+        self.fence = fence
+        self.clock = clock
+        self.fleet = fleet
+        self.cameras = cameras
+        self.link = radio
+        self.gust = np.zeros(3)
+        self.each: Callable[[float], None] | None = None
+        # Of the ground station, which strikes its own faults itself.
+        self.contestant: Callable[[float], c.Command | None] | None = None
+        self.silence_is_an_answer = False
+        self.onset = math.inf
+        self._fault = fault
+        self._plan = plan
+        self._on_end = on_end
+        self._start = math.inf
+        self._looked = clock.now()
+        self._struck = False
+        self._flown = False
+        self._over = False
+        self._off_since: float | None = None
+        self._speed = 0.0
+        self._excursion = -math.inf
+
+    def begin(self, start: float) -> None:
+        """The take-off is at ``start`` s on the clock; any thread."""
+        self.onset = start + self._plan.onset
+        self._start = start
+
+    @property
+    def setpoint(self) -> c.FullState:
+        """What the contestant's own flight wants now."""
+        return self._plan.circuit.at(self.clock.now() - self._start)
+
+    def position(self) -> np.ndarray:
+        """True position, m."""
+        return self.fleet.true_state(0).position
+
+    def look(self) -> None:
+        """See how it goes, and let the fault set in when it is time."""
+        now = self.clock.now()
+        if now < self._start or self._over:
+            return
+        state = self.fleet.true_state(0)
+        if not self._struck and now >= self.onset:
+            self._struck = True
+            self._speed = float(np.linalg.norm(state.velocity))
+            if self._fault in STRIKES:
+                FAULTS[self._fault].strike(cast("Flight", self))
+        if self._struck and self.each is not None:
+            self.each(now - self.onset)
+        if self.gust.any():
+            push = self.gust / self.fleet.plants[0, P_MASS] * 1e-3 * _LOOK_MS
+            self.fleet.bodies[0, B_VEL : B_VEL + 3] += push
+        x, y, z = state.position.tolist()
+        self._flown = self._flown or z > 0.3
+        self._excursion = max(self._excursion, -self.fence.clearance(x, y, z))
+        off = self._flown and not self.fleet.rows(0).motors.any()
+        self._off_since = (now if self._off_since is None else self._off_since) if off else None
+        resting = float(np.linalg.norm(state.velocity)) < _REST
+        done = self._off_since is not None and resting and now - self._off_since > 0.5
+        patient = now < self._start + _MISSION + _LAND_TIME + _PATIENCE
+        if (self._struck and done) or not patient:
+            self._over = True
+            self._on_end(self._report())
+
+    def _report(self) -> Message:
+        since = self._off_since
+        return {
+            "excursion": self._excursion,
+            "safe_after": None if since is None else max(0.0, since - self.onset),
+            "locked": bool(self.fleet.supervisor_info(0) & (LOCKED | CRASHED)),
+            "flown": self._flown,
+            "speed": self._speed,
+        }
+
+
+def _publisher(clock: Clock) -> tuple[ZenohPublisher, str]:
+    for attempt in range(_PORTS):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        try:
+            return ZenohPublisher(clock, listen=[endpoint]), endpoint
+        except InputError:  # somebody was faster
+            if attempt == _PORTS - 1:
+                raise
+    raise AssertionError("unreachable")
+
+
+def _serve(heard: queue.Queue[Message | None], tell: Tell) -> None:
+    config = heard.get()
+    if config is None:
+        return
+    seed = config["seed"]
+    plan = draw_plan(config["fault"], seed)
+    fence = Fence.from_level(load_level(config["level_file"]))
+    fleet = ArenaFleet(
+        [plan.start],
+        ids=(VEHICLE,),
+        plant=plan.plant,
+        noise=SENSOR_NOISE,
+        rng=np.random.default_rng([seed, 1]),
+    )
+    fleet.advance(1)  # compiles, which must not happen in flight
+    swarm = Witness(fleet)
+    for vehicle in swarm.vehicles:
+        vehicle.warm_up()
+    # Real vehicles and cameras are never short of processors.
+    raise_priority(inherit=True)
+    clock = WallClock()
+    model = CameraModel(rate=_CAMERA_RATE)
+    source = SimSource(clock, None, model, np.random.default_rng([seed, 2]))
+    cameras = ArenaCameras(source, clock)
+    publisher, endpoint = _publisher(clock)
+    server = VirtualServer(
+        swarm,
+        port=0,
+        faults=_RADIO,
+        clock=clock,
+        cameras=cameras,
+        publisher=publisher,
+        seed=seed,
+    )
+
+    def report(what: Message) -> None:
+        tell({**what, "worst_ms": server.pace.worst})
+
+    field = Field(config["fault"], plan, fence, clock, fleet, cameras, FaultyRadio(server), report)
+    swarm.look = field.look
+
+    def listen() -> None:
+        stamps = HostStamps(clock)
+        while (message := heard.get()) is not None:
+            field.begin(stamps.to_session(message["go"]))
+        server.stop()
+
+    threading.Thread(target=listen, name="listen", daemon=True).start()
+    tell({"uri": server.uris[0], "endpoint": endpoint})
+    try:
+        server.run()
+    finally:
+        server.close()
+        publisher.close()
+
+
+if __name__ == "__main__":
+    converse(_serve)

@@ -1,0 +1,51 @@
+"""What chance decides of one flight of the fault campaign, for every process that takes part."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crazyarena.runner.campaign import _BOOT, _CLIMB, _ONSET, Circuit
+from crazyarena.sim_backend.physics.arena_plant import AP_STRENGTH, default_plant
+from crazyarena.sim_backend.physics.competition_step import P_MASS
+
+Array = NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class Plan:
+    """One flight.
+
+    Attributes
+    ----------
+    start: (3,) m; plant: row of the vehicle.
+    mellinger: which of the firmware's controllers flies.
+    circuit: the contestant's flight.
+    onset: s after the take-off.
+    rng: what the fault itself draws from.
+    """
+
+    start: Array
+    plant: Array
+    mellinger: bool
+    circuit: Circuit
+    onset: float
+    rng: random.Random
+
+
+def draw_plan(fault: str, seed: int) -> Plan:
+    """The flight that the campaign in virtual time flies with the same fault and seed."""
+    rng = random.Random(f"{fault}/{seed}")
+    start = np.array([rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5), 0.03])
+    plant = default_plant()
+    plant[P_MASS] *= rng.uniform(0.95, 1.1)
+    plant[AP_STRENGTH : AP_STRENGTH + 4] = [rng.uniform(0.95, 1.05) for _ in range(4)]
+    mellinger = seed % 4 != 3
+    speed = rng.uniform(0.8, 2.0) if mellinger else rng.uniform(0.3, 0.5)
+    climb = _CLIMB if mellinger else 2.0 * _CLIMB
+    circuit = Circuit(start, rng, speed, climb)
+    onset = rng.uniform(*_ONSET) + climb - _CLIMB - _BOOT
+    return Plan(start, plant, mellinger, circuit, onset, rng)
