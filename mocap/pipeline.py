@@ -133,11 +133,11 @@ class PosePipeline:
         """True while frames arrive in time."""
         return self._live is True
 
-    def estimate(self, name: str) -> BodyEstimate:
-        """Estimate of one body, now."""
-        now = self._clock.now()
+    def estimate(self, name: str, at: float | None = None) -> BodyEstimate:
+        """Estimate of one body ``at`` a time of the session's clock, s; now by default."""
+        time = self._clock.now() if at is None else at
         with self._lock:
-            return self.estimator.estimate(name, now)
+            return self.estimator.estimate(name, time)
 
     def estimates(self) -> dict[str, BodyEstimate]:
         """Estimates of all bodies, now: for the watchdog and the recorder."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
 
@@ -184,3 +184,15 @@ def open_source(kind: str, *, clock: Clock, **options: Any) -> PoseSource:
         if "unexpected keyword argument" in str(error) or "missing" in str(error):
             raise InputError(f"mocap source {kind}: {error}") from None
         raise
+
+
+@dataclass(frozen=True, slots=True)
+class SourceSpec:
+    """A pose source that somebody else will open: arguments of :func:`open_source`."""
+
+    kind: str
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def open(self, clock: Clock) -> PoseSource:
+        """Open it on the session's clock; raises as :func:`open_source`."""
+        return open_source(self.kind, clock=clock, **self.options)

@@ -111,15 +111,16 @@ class TrackedWorld:
         pose = result.accepted.get(self.rig.body)
         if pose is None:
             return
-        row = self._row(pose)
+        row = self._row(pose, frame.received)
         with self._lock:
             row[TR_TIME] = frame.timestamp - self._epoch
             self._last = row
             if row[TR_TIME] > 0.0:
                 self._rows.append(row)
 
-    def _row(self, pose: Pose) -> Array:
-        moving = self.rig.pipeline.estimate(self.rig.body).state
+    def _row(self, pose: Pose, received: float) -> Array:
+        # As of its arrival, also when nobody had the time to look at it then.
+        moving = self.rig.pipeline.estimate(self.rig.body, received).state
         row = np.full(TRACE_SIZE, np.nan)
         row[TR_POS : TR_POS + 3] = pose.position
         row[TR_QUAT : TR_QUAT + 4] = pose.quaternion

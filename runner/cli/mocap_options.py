@@ -10,7 +10,7 @@ from crazyarena.errors import InputError
 if TYPE_CHECKING:
     from crazyarena.clock import Clock
     from crazyarena.levels import Level
-    from crazyarena.mocap.source import PoseSource
+    from crazyarena.mocap.source import PoseSource, SourceSpec
     from crazyarena.types import Pose
 
 SOURCE_HELP = (
@@ -31,11 +31,9 @@ def parse_options(pairs: Sequence[str]) -> dict[str, str]:
     return options
 
 
-def open_named_source(
-    kind: str, host: str | None, pairs: Sequence[str], clock: Clock
-) -> PoseSource:
-    """Open the source of ``--mocap``, ``--host`` and ``--option``."""
-    from crazyarena.mocap.source import open_source
+def named_source(kind: str, host: str | None, pairs: Sequence[str]) -> SourceSpec:
+    """The source of ``--mocap``, ``--host`` and ``--option``, to be opened."""
+    from crazyarena.mocap.source import SourceSpec
 
     options: dict[str, Any] = dict(parse_options(pairs))
     if kind == "zenoh":
@@ -55,7 +53,14 @@ def open_named_source(
                     raise InputError(
                         f"--option {key}: found {options[key]!r}; need a number"
                     ) from None
-    return open_source(kind, clock=clock, **options)
+    return SourceSpec(kind, options)
+
+
+def open_named_source(
+    kind: str, host: str | None, pairs: Sequence[str], clock: Clock
+) -> PoseSource:
+    """Open the source of ``--mocap``, ``--host`` and ``--option``."""
+    return named_source(kind, host, pairs).open(clock)
 
 
 def nominal_track(level: Level) -> Mapping[str, Pose]:
