@@ -28,9 +28,9 @@ import numpy as np
 from rich.console import Console
 
 from crazyarena.levels.schema import Level
-from crazyarena.mocap.zenoh_link import ZenohSource
+from crazyarena.mocap.source import SourceSpec
+from crazyarena.runner.flight_process.client import connected
 from crazyarena.runner.fly import Fly
-from crazyarena.runner.hardware import connected
 from crazyarena.runner.result import percentiles_ms
 from crazyarena.runner.rig import Rig
 from crazyarena.runner.virtual_arena import VirtualArena
@@ -120,7 +120,7 @@ def fly(seconds: float, folder: Path) -> dict[str, Any]:
         rig = connected(
             level,
             arena.uri,
-            lambda clock: ZenohSource(clock, connect=[arena.endpoint]),
+            SourceSpec("zenoh", {"connect": [arena.endpoint]}),
             limits=limits,
         )
         rig.closers.insert(0, arena.close)

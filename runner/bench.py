@@ -14,12 +14,12 @@ from typing import Any
 from rich.console import Console
 
 from crazyarena.levels.schema import Level
-from crazyarena.mocap.zenoh_link import ZenohSource
+from crazyarena.mocap.source import SourceSpec
 from crazyarena.runner.compare import Comparison, compare
 from crazyarena.runner.dry_run import DryRun
 from crazyarena.runner.flight_options import FlightOptions
+from crazyarena.runner.flight_process.client import connected
 from crazyarena.runner.fly import Fly
-from crazyarena.runner.hardware import connected
 from crazyarena.runner.result import TrialResult
 from crazyarena.runner.rig import Rig
 from crazyarena.runner.stops import StopOptions
@@ -121,8 +121,9 @@ class Bench:
                 rig = connected(
                     level,
                     arena.uri,
-                    lambda clock: ZenohSource(clock, connect=[arena.endpoint]),
+                    SourceSpec("zenoh", {"connect": [arena.endpoint]}),
                     limits=limits,
+                    real_time=self._real_time,
                     description={"mocap": f"zenoh {arena.endpoint}", "world": "bench"},
                 )
             except BaseException:

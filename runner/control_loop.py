@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crazyarena.crazyswarm_compat import commands as cs
-from crazyarena.errors import CommandError
+from crazyarena.errors import BackendError, CommandError
 from crazyarena.runner.asked import FINISHED as FINISHED_VERB
 from crazyarena.runner.asked import NONE, Asked
 from crazyarena.runner.compute import Compute, make_waiter
@@ -163,7 +163,7 @@ class ControlLoop:
                 else:
                     try:
                         self._fill_in(period)
-                    except CommandError as error:
+                    except (BackendError, CommandError) as error:
                         return self._refused(error, step)
             if pending is None:
                 pending = step
@@ -242,7 +242,7 @@ class ControlLoop:
         if sent is not None:
             try:
                 self._world.send(sent)
-            except CommandError as error:
+            except (BackendError, CommandError) as error:
                 return self._refused(error, step)
         if asked.command is not None:
             # High-level commands are carried out by the vehicle itself, once.
@@ -258,8 +258,9 @@ class ControlLoop:
             self._error = stopped
         return stopped is not None
 
-    def _refused(self, error: CommandError, step: int) -> str:
-        """A command was refused: the watchdog may have been faster, else it was a bad one."""
+    def _refused(self, error: BackendError | CommandError, step: int) -> str:
+        """A command was refused: the watchdog may have been faster, or the link is gone; else it
+        was a bad one."""
         return SAFETY if self._is_stopped() else self._failed(f"step {step}: {error}", step)
 
     def _fill_in(self, period: float) -> None:

@@ -569,6 +569,9 @@ class Crew:
             clock.sleep_until(clock.now() + _TICK)
 
     def _look_for_interrupt(self, phase: Phase) -> None:
+        lost = self._rig.lost()
+        if lost is not None:
+            raise BackendError(lost)
         if self._may_stop and self.interrupted():
             raise Aborted(phase, "interrupted by the operator")
 

@@ -13,9 +13,8 @@ from crazyarena.mocap.survey import read_track
 from crazyarena.runner.crew import Crew, Grip, Phase
 from crazyarena.runner.dry_run import DryRun
 from crazyarena.runner.injection import DEFAULT_PREFIX, Injection, ZenohOutlet
-from crazyarena.runner.realtime import threads_in_front
 from crazyarena.runner.rig import Rig
-from crazyarena.runner.stops import StopOptions, Stops, open_stops
+from crazyarena.runner.stops import StopOptions
 from crazyarena.runner.tracked_world import TrackedWorld
 from crazyarena.runner.world import World
 from crazyarena.safety.limits import Limits
@@ -67,15 +66,9 @@ class Fly(DryRun):
         self._real_time = real_time
         self._stop_options = stops or StopOptions()
         self._stop_options.check()
-        self._stops: Stops | None = None
-        self._keys: Stops | None = None
 
     def _make_world(self) -> World:
-        with self._in_front():
-            return TrackedWorld(self._open_rig(self._level, self._limits()))
-
-    def _in_front(self) -> contextlib.AbstractContextManager[Any]:
-        return threads_in_front() if self._real_time else contextlib.nullcontext()
+        return TrackedWorld(self._open_rig(self._level, self._limits()))
 
     def _crew(self, world: TrackedWorld) -> Crew:
         crew = Crew(
@@ -90,7 +83,6 @@ class Fly(DryRun):
         return crew
 
     def _injection(self, stack: contextlib.ExitStack) -> Injection:
-        stack.callback(self._close_stops)
         if self._publish is None:
             return Injection()
         outlet = ZenohOutlet(DEFAULT_PREFIX, **self._publish)
@@ -102,13 +94,18 @@ class Fly(DryRun):
         self._console.print(line, highlight=False, markup=False)
 
     def _confirm(self, question: str, world: TrackedWorld) -> bool:
-        self._close_keys()  # they belong to the question now
+        guard = world.rig.safeguard
+        if guard is not None:
+            guard.close_keys()  # they belong to the question now
         if not self._yes:
             if not sys.stdin.isatty():
                 raise InputError("fly: nobody can answer here. Pass --yes to start without asking")
             if not self._console.input(f"{question} [y/N] ").strip().lower().startswith("y"):
                 return False
-        self._listen_for_keys(world)
+        keys = self._stop_options.only_keyboard()
+        if guard is not None and keys.keyboard:
+            for note in guard.open_keys(keys):
+                self._tell(Phase.ARM, note)
         return True
 
     def _listen_for_stops(self, world: TrackedWorld, crew: Crew) -> None:
@@ -117,34 +114,8 @@ class Fly(DryRun):
         if guard is None:
             return
         options = self._stop_options
-        with self._in_front():
-            self._stops = open_stops(options.without_keyboard(), guard.estop, world.rig.clock)
-        for note in self._stops.notes:
+        notes, hold = guard.open_stops(options.without_keyboard())
+        for note in notes:
             self._tell(Phase.CONNECT, note)
-        if options.dead_man is not None and self._stops.dead_man is not None:
-            guard.must_hold(self._stops.dead_man)
-            limit = guard.watchdog.limits.dead_man
-            crew.grip = Grip(self._stops.dead_man, options.dead_man.hold, limit)
-
-    def _listen_for_keys(self, world: TrackedWorld) -> None:
-        guard = world.rig.safeguard
-        options = self._stop_options.only_keyboard()
-        if guard is None or self._stops is None or not options.keyboard:
-            return
-        with self._in_front():
-            self._keys = open_stops(
-                options, guard.estop, world.rig.clock, dead_man=self._stops.dead_man
-            )
-        for note in self._keys.notes:
-            self._tell(Phase.ARM, note)
-
-    def _close_keys(self) -> None:
-        if self._keys is not None:
-            self._keys.close()
-            self._keys = None
-
-    def _close_stops(self) -> None:
-        self._close_keys()
-        if self._stops is not None:
-            self._stops.close()
-            self._stops = None
+        if options.dead_man is not None and hold is not None:
+            crew.grip = Grip(hold, options.dead_man.hold, self._limits().dead_man)

@@ -1,44 +1,61 @@
-"""Rigs in wall time: a vehicle over its link (radio, USB or UDP), and a camera system."""
+"""A vehicle over its link (radio, USB or UDP), a camera system, and what guards the two."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
 
 from crazyarena.clock import WallClock
+from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
-from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level
-from crazyarena.mocap.source import PoseSource
-from crazyarena.runner.rig import EXTERNAL_POSE_RATE, Rig, make_pipeline
+from crazyarena.mocap.pipeline import PosePipeline
+from crazyarena.mocap.source import SourceSpec
+from crazyarena.runner.rig import EXTERNAL_POSE_RATE, FrameListeners, make_pipeline
 from crazyarena.runner.safeguard import Safeguard
-from crazyarena.runner.wakeup import StampedClock
 from crazyarena.safety.limits import Limits
 
-OpenSource = Callable[[WallClock], PoseSource]
 
+@dataclass(frozen=True, slots=True)
+class HardwareSetup:
+    """What is to be connected; plain data, for another process.
 
-def _as_it_stands(draw: Draw) -> None:
-    """In an arena nothing is drawn: people have built the track and placed the vehicle."""
-
-
-def connected(
-    level: Level,
-    uri: str,
-    open_source: OpenSource,
-    *,
-    vehicle: int = 1,
-    body: str | None = None,
-    limits: Limits | None = None,
-    description: dict[str, object] | None = None,
-) -> Rig:
-    """Connect to a vehicle and a camera system; both run when this returns.
-
-    Parameters
+    Attributes
     ----------
     uri: link of the vehicle, as cflib opens it.
-    open_source: opens the pose source on the session's clock.
-    vehicle, body: id and name of the vehicle; the name is ``cf<id>`` by default.
+    vehicle, body: its id and its name in the camera system.
+    origin: of the session's clock.
+    real_time: ask for locked memory and real-time scheduling.
+    """
+
+    level: Level
+    uri: str
+    source: SourceSpec
+    vehicle: int
+    body: str
+    origin: float
+    limits: Limits | None = None
+    real_time: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Hardware:
+    """Connected and running; ``backend`` is behind the command gate."""
+
+    clock: WallClock
+    backend: Backend
+    pipeline: PosePipeline
+    listeners: FrameListeners
+    safeguard: Safeguard
+    _closers: ExitStack
+
+    def close(self) -> None:
+        """Release everything, last built first; idempotent."""
+        self._closers.close()
+
+
+def connect(setup: HardwareSetup) -> Hardware:
+    """Connect to a vehicle and a camera system; both run when this returns.
 
     Raises
     ------
@@ -49,21 +66,27 @@ def connected(
     from crazyarena.crazyswarm_compat.radio.options import RadioOptions
     from crazyarena.crazyswarm_compat.radio.outbox import OutboxOptions
 
-    body = body or f"cf{vehicle}"
-    clock = StampedClock()
-    start = level.start.position
+    clock = WallClock(setup.origin)
+    vehicle, body = setup.vehicle, setup.body
+    start = setup.level.start.position
     config = VehicleConfig(
-        id=vehicle, name=body, initial_position=(start[0], start[1], start[2]), uri=uri
+        id=vehicle, name=body, initial_position=(start[0], start[1], start[2]), uri=setup.uri
     )
     with ExitStack() as undo:
-        source = open_source(clock)
+        source = setup.source.open(clock)
         undo.callback(source.close)
         # The forwarder limits the rate; a second limit behind it would only make poses older.
         options = RadioOptions(outbox=OutboxOptions(extpose_rate=2.0 * EXTERNAL_POSE_RATE))
         backend = RadioBackend(FleetConfig((config,), "command line"), clock, options)
         undo.callback(backend.close)
         safeguard = Safeguard(
-            level, backend, clock, vehicle, body, limits=limits, feed=backend.arm_watchdog
+            setup.level,
+            backend,
+            clock,
+            vehicle,
+            body,
+            limits=setup.limits,
+            feed=backend.arm_watchdog,
         )
         undo.callback(safeguard.close)
         pipeline, listeners = make_pipeline(
@@ -74,16 +97,5 @@ def connected(
         listeners.frames.append(safeguard.on_frame)
         pipeline.start()
         safeguard.watchdog.start()
-        undo.pop_all()
-    return Rig(
-        clock,
-        safeguard.gate.runner,
-        pipeline,
-        listeners,
-        vehicle,
-        body,
-        _as_it_stands,
-        safeguard,
-        {"backend": uri, **(description or {})},
-        [backend.close, safeguard.close, pipeline.close],
-    )
+        closers = undo.pop_all()
+    return Hardware(clock, safeguard.gate.runner, pipeline, listeners, safeguard, closers)

@@ -10,9 +10,11 @@ import contextlib
 import ctypes
 import gc
 import os
+import sys
 from collections.abc import Iterator
 
 _CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4
+_SWITCH_INTERVAL = 0.0005  # s
 PRIORITY = 40  # below the watchdog's
 
 
@@ -56,34 +58,18 @@ def lower_priority() -> None:
 
 
 @contextlib.contextmanager
-def threads_in_front() -> Iterator[str]:
-    """Threads and processes started inside the ``with`` block run in real time, if allowed.
-
-    For those of link and cameras: a pose that waits for a processor is an old pose. Also for
-    others that share the interpreter: one that is put aside while it holds the interpreter's
-    lock keeps everybody waiting.
-    """
-    try:
-        before = os.sched_getscheduler(0), os.sched_getparam(0)
-    except (OSError, AttributeError):
-        before = None
-    note = raise_priority(inherit=True)
-    try:
-        yield note
-    finally:
-        if before is not None:
-            os.sched_setscheduler(0, *before)
-
-
-@contextlib.contextmanager
 def quiet_collector() -> Iterator[None]:
-    """No garbage collection inside the ``with`` block, and cheap ones after it."""
+    """No garbage collection inside the ``with`` block, and cheap ones after it; other threads
+    give way sooner."""
     gc.collect()
     gc.freeze()
     gc.disable()
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(min(interval, _SWITCH_INTERVAL))
     try:
         yield
     finally:
+        sys.setswitchinterval(interval)
         gc.enable()
         gc.unfreeze()
 

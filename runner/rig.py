@@ -2,13 +2,14 @@
 
 This is the line behind which simulation and reality differ. :func:`simulated` builds the rig of
 a dry run; that of a bench or arena flight is built from a radio link and a camera system by
-:mod:`crazyarena.runner.hardware`.
+:mod:`crazyarena.runner.flight_process`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from crazyarena.mocap.pipeline import OnEvent, OnFrame, PosePipeline
 from crazyarena.mocap.source import PoseSource
 from crazyarena.runner.safeguard import Safeguard
 from crazyarena.safety.limits import Limits
+
+if TYPE_CHECKING:
+    from crazyarena.runner.flight_process.client import RemoteSafeguard
 
 # Children of the trial's seed, so that the level's own draws stay what the seed says.
 _RIG_STREAM = 0x51
@@ -58,6 +62,7 @@ class Rig:
     pipeline: fed by whoever lets time pass: a thread, or the virtual clock.
     stage: called with the draw of an episode before it; what people do by hand in an arena.
     description: for the report.
+    lost: why vehicle and cameras are out of reach for good, or None.
     """
 
     clock: Clock
@@ -67,9 +72,10 @@ class Rig:
     vehicle: int
     body: str
     stage: Callable[[Draw], None]
-    safeguard: Safeguard | None = None
+    safeguard: Safeguard | RemoteSafeguard | None = None
     description: dict[str, object] = field(default_factory=dict)
     closers: list[Callable[[], None]] = field(default_factory=list)
+    lost: Callable[[], str | None] = lambda: None
 
     def close(self) -> None:
         """Release everything, last built first; idempotent."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from crazyarena.levels.schema import Level
 from crazyarena.mocap.estimator import FrameResult
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.runner.referee import Event
+from crazyarena.runner.stops import StopOptions, Stops, open_stops
 from crazyarena.safety.estop import EmergencyStop, Hold
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
@@ -19,8 +21,8 @@ from crazyarena.safety.limits import Limits
 from crazyarena.safety.watchdog import Watchdog
 from crazyarena.types import PoseFrame, VehicleState
 
-_LANDING = 20.0  # s, for the watchdog to bring a vehicle down
-_TICK = 0.02  # s
+LANDING = 20.0  # s, for the watchdog to bring a vehicle down
+TICK = 0.02  # s
 
 
 def limits_for(rate: float, max_misses: int) -> Limits:
@@ -57,6 +59,8 @@ class Safeguard:
         dead_man: Hold | None = None,
     ) -> None:
         self._dead_man = dead_man
+        self._stops: Stops | None = None
+        self._keys: Stops | None = None
         self._clock = clock
         self._vehicle = vehicle
         self._body = body
@@ -102,6 +106,40 @@ class Safeguard:
         if self._watchdog is not None:
             self._watchdog.dead_man = dead_man
 
+    def open_stops(self, options: StopOptions) -> tuple[list[str], Hold | None]:
+        """Open sources of the emergency stop; the terminal's keys are another matter.
+
+        Returns what is in force, in words, and what must be held, if anything.
+        """
+        self._stops = open_stops(options, self.estop, self._clock)
+        self.must_hold(self._stops.dead_man)
+        return self._stops.notes, self._stops.dead_man
+
+    def open_keys(self, options: StopOptions) -> list[str]:
+        """Let the terminal's keys stop, and be held for what must be held."""
+        held = None if self._stops is None else self._stops.dead_man
+        self._keys = open_stops(options, self.estop, self._clock, dead_man=held)
+        return self._keys.notes
+
+    def close_keys(self) -> None:
+        """Give the keys back; idempotent."""
+        if self._keys is not None:
+            self._keys.close()
+            self._keys = None
+
+    def close_stops(self) -> None:
+        """Close every source; nothing has to be held any more. Idempotent."""
+        self.close_keys()
+        if self._stops is not None:
+            self.must_hold(None)
+            self._stops.close()
+            self._stops = None
+
+    @property
+    def held(self) -> float:
+        """When the operator last held what must be held, s; -inf if never."""
+        return -math.inf if self._dead_man is None else self._clock.now() - self._dead_man.age()
+
     def on_frame(self, frame: PoseFrame, result: FrameResult) -> None:
         """For the pipeline."""
         if self._watchdog is not None:
@@ -109,6 +147,7 @@ class Safeguard:
 
     def close(self) -> None:
         """Stop watching; idempotent."""
+        self.close_stops()
         if self._watchdog is not None:
             self._watchdog.close()
         self.estop.close()
@@ -137,15 +176,25 @@ class Safeguard:
 
     def hand_over(self, rule: str) -> None:
         self.watchdog.request(Action.HOLD, rule, self._vehicle)
-        self._clock.sleep_until(self._clock.now() + _TICK)
+        self._clock.sleep_until(self._clock.now() + TICK)
+
+    def done(self) -> bool:
+        """No more answers of the contestant are to be expected; True if the watchdog has the
+        vehicle."""
+        self.watchdog.controller_done(self._vehicle)
+        return self.watchdog.action(self._vehicle).takes_over
+
+    @property
+    def over(self) -> bool:
+        """The watchdog has brought the vehicle to a safe end."""
+        return self.watchdog.over(self._vehicle)
 
     def end(self) -> bool:
-        self.watchdog.controller_done(self._vehicle)
-        if not self.watchdog.action(self._vehicle).takes_over:
+        if not self.done():
             return False
-        end = self._clock.now() + _LANDING
-        while not self.watchdog.over(self._vehicle) and self._clock.now() < end:
-            self._clock.sleep_until(self._clock.now() + _TICK)
+        end = self._clock.now() + LANDING
+        while not self.over and self._clock.now() < end:
+            self._clock.sleep_until(self._clock.now() + TICK)
         return True
 
     def events(self) -> list[Event]:

@@ -243,6 +243,10 @@ class Watchdog:
         """Where the ladder of a vehicle stands."""
         return self._by_vehicle[vehicle].guard.action
 
+    def airborne(self, vehicle: int) -> bool:
+        """Whether this vehicle flies, as far as anybody knows."""
+        return self._by_vehicle[vehicle].airborne
+
     def over(self, vehicle: int) -> bool:
         """The watchdog has brought this vehicle to a safe end."""
         return self._by_vehicle[vehicle].guard.ladder.over

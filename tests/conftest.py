@@ -16,6 +16,8 @@ _REALTIME = (
     "crazyswarm_compat/radio",
     "mocap/test_arena.py",
     "mocap/test_links.py",
+    "runner/flight_process/test_disturbed.py",
+    "runner/flight_process/test_rig.py",
     "runner/test_bench.py",
     "runner/test_mocap_commands.py",
     "safety/test_estop.py",

@@ -101,7 +101,7 @@ def fly(
     with bad_input_exits():
         from crazyarena.errors import InputError
         from crazyarena.levels.schema import Level
-        from crazyarena.runner.cli.mocap_options import open_named_source
+        from crazyarena.runner.cli.mocap_options import named_source
         from crazyarena.runner.flight_options import FlightOptions
         from crazyarena.runner.fly import Fly
         from crazyarena.runner.rig import Rig, simulated
@@ -127,7 +127,7 @@ def fly(
         def open_rig(loaded: Level, limits: Limits) -> Rig:
             if not real:
                 return simulated(loaded, loaded.seed if seed is None else seed, limits=limits)
-            from crazyarena.runner.hardware import connected
+            from crazyarena.runner.flight_process.client import connected
 
             assert uri is not None
             assert mocap is not None
@@ -135,10 +135,11 @@ def fly(
             return connected(
                 loaded,
                 uri,
-                lambda clock: open_named_source(kind, mocap_host, mocap_option or [], clock),
+                named_source(kind, mocap_host, mocap_option or []),
                 vehicle=vehicle,
                 body=body,
                 limits=limits,
+                real_time=real_time,
                 description={"mocap": kind, "mocap_host": mocap_host, "world": "arena"},
             )
 
