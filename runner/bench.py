@@ -7,6 +7,7 @@ the same seed, and the two groups are compared.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -50,6 +51,7 @@ class Bench:
     runs: how many of each, all on the same draw of the level; measurement noise differs.
     dry: fly the dry runs and compare.
     stops: what stops the flights in real time besides the watchdog.
+    waive: lines of the pre-flight checklist that must not ground those.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class Bench:
         figure: bool = True,
         console: Console | None = None,
         stops: StopOptions | None = None,
+        waive: Sequence[str] = (),
     ) -> None:
         self._submission = submission
         self._level = level
@@ -76,6 +79,7 @@ class Bench:
         self._dry = dry
         self._real_time = real_time
         self._stops = stops
+        self._waive = waive
         self._console = console if console is not None else Console()
         self._common: dict[str, Any] = {
             "overrides": overrides or [],
@@ -141,6 +145,7 @@ class Bench:
             yes=True,
             real_time=self._real_time,
             stops=self._stops,
+            waive=self._waive,
             **self._common,
         )
         flown = fly.run()

@@ -34,7 +34,7 @@ from crazyarena.sim_backend.firmware.supervisor import (
     INFO_LOCKED,
     INFO_TUMBLED,
 )
-from crazyarena.types import Pose, PoseFrame
+from crazyarena.types import Pose, PoseFrame, VehicleState
 
 Array = NDArray[np.float64]
 
@@ -47,12 +47,9 @@ _DESCENT = 0.3  # m/s
 _ABOVE_TRACK = 0.35  # m above the highest gate, on the way home
 _GRIP_TIME = 1.0  # s of holding the dead-man's key until it is believed
 _DOWN = 0.08  # m: what is lower stands on the ground
-# Flown with the controller that full-state setpoints were made for, fed by external poses.
-FIRMWARE_PARAMS = (
-    ("stabilizer.estimator", 2),
-    ("stabilizer.controller", 2),
-    ("commander.enHighLevel", 1),
-)
+# The controller that full-state setpoints were made for.
+MELLINGER = 2
+_KALMAN = 2
 
 
 class Phase(StrEnum):
@@ -251,19 +248,8 @@ class Crew:
     def _preflight(self) -> None:
         rig = self._rig
         place = self._estimate().state
-        yaw = roll_pitch_yaw(place.quaternion)[2]
-        for name, value in (
-            *FIRMWARE_PARAMS,
-            *zip(
-                (f"kalman.initial{axis}" for axis in ("X", "Y", "Z")),
-                place.position.tolist(),
-                strict=True,
-            ),
-            ("kalman.initialYaw", yaw),
-            ("kalman.resetEstimation", 1),
-            ("kalman.resetEstimation", 0),
-        ):
-            self._send(cs.SetParam(name, value))
+        for command in preparations(place):
+            self._send(command)
             rig.clock.sleep_until(rig.clock.now() + _TICK)
         self._check_place(place.position)
         agreed_since = [math.nan]
@@ -596,6 +582,26 @@ class Crew:
             self._send(command)
         except (BackendError, CommandError) as error:
             self._on_phase(Phase.RETURN, f"{type(command).__name__} refused: {error}")
+
+
+def preparations(place: VehicleState, controller: int = MELLINGER) -> list[cs.SetParam]:
+    """What a vehicle that stands at ``place`` is told before it is armed.
+
+    It is to fly by external poses, with this controller, and to estimate itself anew.
+    """
+    x, y, z = place.position.tolist()
+    wanted: tuple[tuple[str, float], ...] = (
+        ("stabilizer.estimator", _KALMAN),
+        ("stabilizer.controller", controller),
+        ("commander.enHighLevel", 1),
+        ("kalman.initialX", x),
+        ("kalman.initialY", y),
+        ("kalman.initialZ", z),
+        ("kalman.initialYaw", roll_pitch_yaw(place.quaternion)[2]),
+        ("kalman.resetEstimation", 1),
+        ("kalman.resetEstimation", 0),
+    )
+    return [cs.SetParam(name, value) for name, value in wanted]
 
 
 def _put(row: Array, pose: Pose) -> None:

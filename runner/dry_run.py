@@ -29,6 +29,7 @@ from crazyarena.sim_backend import jit
 
 # What only arena levels need is imported when one is flown: it would double the start-up.
 if TYPE_CHECKING:
+    from crazyarena.runner.checklist import FlightChecklist
     from crazyarena.runner.crew import Crew, MeasuredTrack
     from crazyarena.runner.injection import Injection
     from crazyarena.runner.tracked_world import TrackedWorld
@@ -127,6 +128,7 @@ class DryRun:
         self._figure = figure
         self._console = console if console is not None else Console()
         self._drawings: list[tuple[Any, ...]] = []
+        self._preflight: FlightChecklist | None = None
 
     def run(self) -> TrialResult:
         """Fly, report, write ``result.json``; returns the result."""
@@ -231,6 +233,8 @@ class DryRun:
             **common,
         )
         result = trial.run()
+        if self._preflight is not None:
+            origin["preflight"] = self._preflight.record()
         if trial.in_force:
             origin["real_time"] = trial.in_force
         return result
@@ -238,9 +242,11 @@ class DryRun:
     _real_time = False
 
     def _crew(self, world: TrackedWorld) -> Crew:
+        from crazyarena.runner.checklist import FlightChecklist
         from crazyarena.runner.crew import Crew
 
-        return Crew(world.rig, world, self._level)
+        self._preflight = FlightChecklist(world.rig, self._level)
+        return Crew(world.rig, world, self._level, checks=(self._preflight,), anywhere=True)
 
     def _injection(self, stack: contextlib.ExitStack) -> Injection:
         from crazyarena.runner.injection import Injection

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from crazyarena.errors import InputError
 from crazyarena.levels.schema import Level, Profile
 from crazyarena.mocap.survey import read_track
+from crazyarena.runner.checklist import FlightChecklist
 from crazyarena.runner.crew import Crew, Grip, Phase
 from crazyarena.runner.dry_run import DryRun
 from crazyarena.runner.injection import DEFAULT_PREFIX, Injection, ZenohOutlet
@@ -34,6 +35,8 @@ class Fly(DryRun):
     publish: zenoh endpoints (``connect``, ``listen``) to tell of the track and of what the
         contestant is told; None keeps it in the recording alone.
     stops: what stops the flight besides the watchdog.
+    waive: lines of the pre-flight checklist that must not ground the vehicle.
+    uri: link of the vehicle, if there are people to try the emergency stop and tip it by hand.
 
     Raises
     ------
@@ -49,6 +52,8 @@ class Fly(DryRun):
         publish: dict[str, list[str]] | None = None,
         real_time: bool = True,
         stops: StopOptions | None = None,
+        waive: Sequence[str] = (),
+        uri: str | None = None,
         **options: Any,
     ) -> None:
         super().__init__(*arguments, **options)
@@ -64,6 +69,8 @@ class Fly(DryRun):
         self._surveyed: dict[str, Pose] | None = None if surveyed is None else read_track(surveyed)
         self._publish = publish
         self._real_time = real_time
+        self._waive = tuple(waive)
+        self._uri = uri
         self._stop_options = stops or StopOptions()
         self._stop_options.check()
 
@@ -71,6 +78,14 @@ class Fly(DryRun):
         return TrackedWorld(self._open_rig(self._level, self._limits()))
 
     def _crew(self, world: TrackedWorld) -> Crew:
+        self._preflight = FlightChecklist(
+            world.rig,
+            self._level,
+            waive=self._waive,
+            uri=self._uri,
+            out=self.out,
+            say=lambda text: self._tell(Phase.PREFLIGHT, text),
+        )
         crew = Crew(
             world.rig,
             world,
@@ -78,6 +93,8 @@ class Fly(DryRun):
             confirm=lambda question: self._confirm(question, world),
             on_phase=self._tell,
             surveyed=self._surveyed,
+            checks=(self._preflight,),
+            anywhere=True,  # that is a line of the checklist
         )
         self._listen_for_stops(world, crew)
         return crew

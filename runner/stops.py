@@ -15,10 +15,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from crazyarena.clock import Clock
 from crazyarena.errors import DependencyMissing, InputError
 from crazyarena.safety.estop import DeadMan, StopButton
+
+if TYPE_CHECKING:
+    from crazyarena.safety.rehearsal import Rehearsals
 
 
 class DeadManBy(StrEnum):
@@ -160,9 +164,11 @@ def open_stops(
     """
     from crazyarena.safety import estop_sources as sources
     from crazyarena.safety.estop_token import TokenCheck, read_secret
+    from crazyarena.safety.rehearsal import Rehearsals
 
     if options.dead_man is not None and dead_man is None:
         dead_man = DeadMan(clock)
+    stop = _Remembered(stop, Rehearsals(folder))
     stops = Stops(dead_man)
     by_key = dead_man if options.dead_man is DeadManBy.KEY else None
     by_gamepad = dead_man if options.dead_man is DeadManBy.GAMEPAD else None
@@ -190,6 +196,20 @@ def open_stops(
             stops.notes.append("space, Enter, Escape or q stops the motors; Ctrl-C lands")
         undo.pop_all()
     return stops
+
+
+class _Remembered:
+    """A stop button that keeps in mind, beyond this process, that it was tried."""
+
+    def __init__(self, stop: StopButton, rehearsals: Rehearsals) -> None:
+        self.trigger = stop.trigger
+        self._stop = stop
+        self._rehearsals = rehearsals
+
+    def tested(self) -> None:
+        self._stop.tested()
+        with contextlib.suppress(OSError):
+            self._rehearsals.note_stop()
 
 
 def _stdin() -> int:

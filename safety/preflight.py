@@ -59,7 +59,7 @@ class Tolerances:
     height: m, of a standing vehicle over the level's start.
     gate_position, gate_yaw: between a surveyed gate and the level, beyond its random range.
     disk: bytes free. timer: s, latest wake-up of a short sleep.
-    test_age: s, since the emergency stop was last tried.
+    test_age: s, since the emergency stop was last tried. body_age: s, since a vehicle was tipped.
     """
 
     battery: float = 3.9
@@ -72,6 +72,7 @@ class Tolerances:
     disk: int = 500_000_000
     timer: float = 0.002
     test_age: float = 3600.0
+    body_age: float = 8 * 3600.0
 
 
 @dataclass(slots=True)
@@ -82,7 +83,8 @@ class VehicleFacts:
     ----------
     own: the vehicle's position estimates of the last seconds, newest last.
     controller: parameter ``stabilizer.controller``.
-    tipped: the body that was tipped when this vehicle was, see :func:`tipped_body`.
+    tipped: the body that was tipped when this vehicle was, now or lately, see
+        :func:`tipped_body`.
     """
 
     name: str
@@ -104,6 +106,7 @@ class Preflight:
     bodies: all bodies the cameras see; known: names that belong there.
     controller: what ``stabilizer.controller`` must be (2 Mellinger, 1 PID).
     out: folder recordings go to.
+    machine_checks, vehicle_checks: what is looked at.
     """
 
     level: Level
@@ -116,6 +119,12 @@ class Preflight:
     out: Path = Path(".")
     clock: Clock = field(default_factory=WallClock)
     tolerances: Tolerances = field(default_factory=Tolerances)
+    machine_checks: Sequence[Callable[[Preflight], list[Line]]] = field(
+        default_factory=lambda: MACHINE_CHECKS
+    )
+    vehicle_checks: Sequence[Callable[[Preflight, VehicleFacts], list[Line]]] = field(
+        default_factory=lambda: VEHICLE_CHECKS
+    )
 
     def run(self, waive: Iterable[str] = ()) -> list[Line]:
         """All lines, in order.
@@ -124,9 +133,9 @@ class Preflight:
         ------
         InputError: a waiver for a line that does not exist.
         """
-        lines = [line for check in MACHINE_CHECKS for line in check(self)]
+        lines = [line for check in self.machine_checks for line in check(self)]
         for vehicle in self.vehicles:
-            lines += [line for check in VEHICLE_CHECKS for line in check(self, vehicle)]
+            lines += [line for check in self.vehicle_checks for line in check(self, vehicle)]
         waived = set(waive)
         unknown = waived - {line.name for line in lines}
         if unknown:
@@ -176,6 +185,8 @@ def _gates(p: Preflight) -> list[Line]:
     t = p.tolerances
     bad = []
     for index, gate in enumerate(wanted):
+        if gate.tracked:
+            continue  # it moves; that it is seen is all that can be asked of it
         pose = p.gates[index]
         x, y, _ = pose.position.tolist()
         off = math.hypot(x - gate.x, y - gate.y)
@@ -186,14 +197,14 @@ def _gates(p: Preflight) -> list[Line]:
     return [Line("gates", not bad, "; ".join(bad) or f"{len(wanted)} surveyed", remedy)]
 
 
-def _strangers(p: Preflight) -> list[Line]:
+def check_strangers(p: Preflight) -> list[Line]:
     vehicles = [vehicle.body for vehicle in p.vehicles]
     unknown = sorted(set(p.bodies) - set(p.known) - set(vehicles))
     found = ", ".join(unknown) if unknown else f"{len(p.bodies)} bodies, all known"
     return [Line("arena clear", not unknown, found, "take them out of the arena, or name them")]
 
 
-def _disk(p: Preflight) -> list[Line]:
+def check_disk(p: Preflight) -> list[Line]:
     folder = p.out
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
@@ -242,8 +253,11 @@ def _real_time(p: Preflight) -> list[Line]:
     ]
 
 
-def _estop(p: Preflight) -> list[Line]:
-    remedy = "crazyarena estop --test, or press the button, while this checklist runs"
+def check_estop(p: Preflight) -> list[Line]:
+    remedy = (
+        "crazyarena estop --test in another shell, or press the button, while crazyarena "
+        "preflight runs"
+    )
     if p.estop is None:
         return [Line("e-stop tested", False, "no emergency stop in this session", remedy)]
     tested = p.estop.last_test
@@ -257,14 +271,14 @@ def _estop(p: Preflight) -> list[Line]:
 # Each vehicle
 
 
-def _connected(p: Preflight, v: VehicleFacts) -> list[Line]:
+def check_connected(p: Preflight, v: VehicleFacts) -> list[Line]:
     t = v.telemetry
     age = math.inf if t is None else p.clock.now() - t.timestamp
     found = f"heard {age:.1f} s ago" if math.isfinite(age) else "never heard"
     return [Line(f"{v.name} connected", age <= 1.0, found, "switch it on; check URI and channel")]
 
 
-def _state(p: Preflight, v: VehicleFacts) -> list[Line]:
+def check_state(p: Preflight, v: VehicleFacts) -> list[Line]:
     bits = None if v.telemetry is None else v.telemetry.supervisor
     name = f"{v.name} state"
     if bits is None:
@@ -281,7 +295,7 @@ def _state(p: Preflight, v: VehicleFacts) -> list[Line]:
     return [Line(name, ready, found, "restart it, standing still and level")]
 
 
-def _battery(p: Preflight, v: VehicleFacts) -> list[Line]:
+def check_battery(p: Preflight, v: VehicleFacts) -> list[Line]:
     volts = None if v.telemetry is None else v.telemetry.battery
     found = "unknown" if volts is None else f"{volts:.2f} V"
     ok = volts is not None and volts >= p.tolerances.battery
@@ -289,7 +303,7 @@ def _battery(p: Preflight, v: VehicleFacts) -> list[Line]:
     return [Line(f"{v.name} battery", ok, found, remedy)]
 
 
-def _estimate(p: Preflight, v: VehicleFacts) -> list[Line]:
+def check_estimate(p: Preflight, v: VehicleFacts) -> list[Line]:
     t = p.tolerances
     names = (f"{v.name} estimator", f"{v.name} agrees with cameras")
     if len(v.own) < 2:
@@ -315,19 +329,22 @@ def _estimate(p: Preflight, v: VehicleFacts) -> list[Line]:
     return [*lines, Line(names[1], off <= t.position and turn <= t.yaw, found, remedy)]
 
 
-def _controller(p: Preflight, v: VehicleFacts) -> list[Line]:
+def check_controller(p: Preflight, v: VehicleFacts) -> list[Line]:
     found = "unknown" if v.controller is None else str(v.controller)
     remedy = f"set stabilizer.controller to {p.controller}"
     return [Line(f"{v.name} controller", v.controller == p.controller, found, remedy)]
 
 
-def _body(p: Preflight, v: VehicleFacts) -> list[Line]:
+def check_body(p: Preflight, v: VehicleFacts) -> list[Line]:
     found = "not tried" if v.tipped is None else f"body {v.tipped} was tipped with it"
-    remedy = "preflight --tip, and tip it by hand; else exchange names or markers"
+    if v.tipped is None:
+        remedy = "crazyarena preflight --tip, and tip it by hand"
+    else:
+        remedy = f"give the vehicle the name {v.tipped}, or exchange the markers"
     return [Line(f"{v.name} is body {v.body}", v.tipped == v.body, found, remedy)]
 
 
-def _start(p: Preflight, v: VehicleFacts) -> list[Line]:
+def check_start(p: Preflight, v: VehicleFacts) -> list[Line]:
     name = f"{v.name} at start"
     remedy = "put it on the start position"
     if v.seen is None or v.seen.freshness not in (Freshness.FRESH, Freshness.BRIDGED):
@@ -343,21 +360,21 @@ MACHINE_CHECKS: tuple[Callable[[Preflight], list[Line]], ...] = (
     _named,
     _fence,
     _gates,
-    _strangers,
-    _disk,
+    check_strangers,
+    check_disk,
     _governor,
     _timer,
     _real_time,
-    _estop,
+    check_estop,
 )
 VEHICLE_CHECKS: tuple[Callable[[Preflight, VehicleFacts], list[Line]], ...] = (
-    _connected,
-    _state,
-    _battery,
-    _estimate,
-    _controller,
-    _body,
-    _start,
+    check_connected,
+    check_state,
+    check_battery,
+    check_estimate,
+    check_controller,
+    check_body,
+    check_start,
 )
 
 
@@ -367,14 +384,15 @@ def tipped_body(bodies: Mapping[str, Pose], own: np.ndarray, least: float = 0.2)
     ``own`` is the vehicle's own attitude (x, y, z, w); None until it is tipped by ``least`` rad,
     and when no body, or more than one, has that tilt within half of ``least``.
     """
-    felt = _tilt(own)
+    felt = tilt(own)
     if felt < least:
         return None
-    alike = [k for k, pose in bodies.items() if abs(_tilt(pose.quaternion) - felt) < 0.5 * least]
+    alike = [k for k, pose in bodies.items() if abs(tilt(pose.quaternion) - felt) < 0.5 * least]
     return alike[0] if len(alike) == 1 else None
 
 
-def _tilt(q: np.ndarray) -> float:
+def tilt(q: np.ndarray) -> float:
+    """Angle, rad, between a body's own up and the world's; quaternion x, y, z, w."""
     x, y, _, _ = q.tolist()
     return math.acos(min(max(1.0 - 2.0 * (x * x + y * y), -1.0), 1.0))
 

@@ -20,6 +20,8 @@ _REALTIME = (
     "runner/flight_process/test_rig.py",
     "runner/test_bench.py",
     "runner/test_mocap_commands.py",
+    "runner/test_preflight.py",
+    "runner/test_stops.py",
     "safety/test_estop.py",
     "safety/test_estop_over_udp.py",
     "safety/test_watchdog.py",

@@ -30,6 +30,7 @@ from crazyarena.runner.cli.stop_options import (
     StopListen,
     StopNetwork,
     StopToken,
+    Waive,
     stop_options,
 )
 
@@ -57,6 +58,7 @@ def bench(
         bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
     ] = True,
     figure: Annotated[bool, typer.Option(help="Write figures.")] = True,
+    waive: Waive = None,
     gamepad: Gamepad = None,
     dead_man: DeadMan = None,
     stop_network: StopNetwork = False,
@@ -102,6 +104,7 @@ def bench(
             real_time=real_time,
             figure=figure,
             console=console,
+            waive=waive or (),
             stops=stop_options(
                 gamepad, dead_man, stop_network, stop_connect, stop_listen, stop_token, "bench"
             ),

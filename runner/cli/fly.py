@@ -30,6 +30,7 @@ from crazyarena.runner.cli.stop_options import (
     StopListen,
     StopNetwork,
     StopToken,
+    Waive,
     stop_options,
 )
 
@@ -87,6 +88,7 @@ def fly(
     real_time: Annotated[
         bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
     ] = True,
+    waive: Waive = None,
     gamepad: Gamepad = None,
     dead_man: DeadMan = None,
     stop_network: StopNetwork = False,
@@ -101,6 +103,7 @@ def fly(
     with bad_input_exits():
         from crazyarena.errors import InputError
         from crazyarena.levels.schema import Level
+        from crazyarena.runner.checklist import check_waivers
         from crazyarena.runner.cli.mocap_options import named_source
         from crazyarena.runner.flight_options import FlightOptions
         from crazyarena.runner.fly import Fly
@@ -115,6 +118,7 @@ def fly(
             )
 
         name = body or f"cf{vehicle}"
+        check_waivers(waive or (), name)
         stops = stop_options(
             gamepad, dead_man, stop_network, stop_connect, stop_listen, stop_token, name
         )
@@ -165,6 +169,8 @@ def fly(
             publish=None if publish is None else {"connect": [publish]},
             real_time=real_time and real,
             stops=stops,
+            waive=waive or (),
+            uri=uri if real else None,
         )
         result = run.run()
     if not result.clean:

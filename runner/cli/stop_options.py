@@ -67,6 +67,15 @@ StopToken = Annotated[
     ),
 ]
 
+Waive = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="LINE",
+        help="Fly in spite of this red line of the pre-flight checklist; goes on record. "
+        "Repeatable.",
+    ),
+]
+
 
 def stop_options(
     gamepad: str | None,

@@ -112,6 +112,15 @@ def test_what_the_contestant_is_told_is_recorded(run, tmp_path):
         (["dry-run", "--no-sandbox", "--require-sandbox"], "exclude each other"),
         (["dry-run", "--compute", "fixed"], "fixed=MS"),
         (["fly", "--backend", "sim", "--survey", "nowhere.json"], "nowhere.json"),
+        (["fly", "--backend", "sim", "--waive", "cf2 battery"], "no such line"),
+        (
+            ["fly", "--uri", "udp://127.0.0.1:1", "--mocap", "zenoh", "--dead-man", "key"],
+            "terminal",
+        ),
+        (
+            ["fly", "--uri", "udp://127.0.0.1:1", "--mocap", "zenoh", "--dead-man", "gamepad"],
+            "--gamepad auto",
+        ),
     ],
 )
 def test_wrong_calls_are_one_message(run, tmp_path, arguments, words):

@@ -1,0 +1,77 @@
+"""What people have tried by hand before a flight, remembered from one command to the next.
+
+``crazyarena preflight`` has somebody pull the emergency stop and tip the vehicle; ``crazyarena
+fly`` a minute later should not ask for it again. Kept in the user's runtime folder, which goes
+with the login.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from crazyarena.safety.estop_sources import runtime_folder
+
+_FILE = "rehearsed.json"
+_STOP = "stop"
+_BODIES = "bodies"
+
+
+class Rehearsals:
+    """Times at which things were tried.
+
+    Parameters
+    ----------
+    folder: of the record; that of the user's stop sockets by default.
+    wall: Unix time.
+    """
+
+    def __init__(self, folder: Path | None = None, wall: Callable[[], float] = time.time) -> None:
+        self._file = (folder or runtime_folder()) / _FILE
+        self._wall = wall
+
+    def note_stop(self) -> None:
+        """An emergency stop was tried now."""
+        self._change({_STOP: self._wall()})
+
+    def stop_age(self) -> float:
+        """s since it was; inf if never."""
+        return self._age(self._read().get(_STOP))
+
+    def note_body(self, uri: str, body: str) -> None:
+        """The vehicle at ``uri`` was seen to be this body now; no other vehicle is, then."""
+        bodies = {k: v for k, v in self._bodies().items() if v[0] != body}
+        self._change({_BODIES: {**bodies, uri: [body, self._wall()]}})
+
+    def body(self, uri: str) -> tuple[str | None, float]:
+        """Body that the vehicle at ``uri`` was last seen to be, and s since then."""
+        name, when = self._bodies().get(uri, (None, None))
+        return name, self._age(when)
+
+    def _bodies(self) -> dict[str, Any]:
+        found = self._read().get(_BODIES)
+        if not isinstance(found, dict):
+            return {}
+        return {k: v for k, v in found.items() if isinstance(v, list) and len(v) == 2}
+
+    def _age(self, when: Any) -> float:
+        # A time in the future is that of a clock that was set: it says nothing.
+        age = self._wall() - when if isinstance(when, int | float) else math.inf
+        return age if age >= 0.0 else math.inf
+
+    def _read(self) -> dict[str, Any]:
+        try:
+            found = json.loads(self._file.read_text())
+        except (OSError, ValueError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    def _change(self, entries: dict[str, Any]) -> None:
+        part = self._file.with_name(f"{_FILE}.{os.getpid()}")
+        part.write_text(json.dumps({**self._read(), **entries}))
+        part.replace(self._file)
