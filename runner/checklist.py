@@ -8,8 +8,6 @@ and asked for only where there are people: not in simulation, nor on the bench.
 from __future__ import annotations
 
 import contextlib
-import threading
-from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -19,17 +17,15 @@ import numpy as np
 
 from crazyarena.errors import BackendError, InputError
 from crazyarena.levels import Level
-from crazyarena.mocap.estimator import FrameResult
 from crazyarena.runner.preflight import Bodies, remember
 from crazyarena.runner.rig import Rig
 from crazyarena.safety import preflight as pf
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.rehearsal import Rehearsals
-from crazyarena.types import PoseFrame
 
-_SETTLED = 0.4  # s, over which the vehicle's estimate must be still; its reset is before that
-_SAMPLES = 1000
+_LOOK = 0.4  # s, over which the vehicle's estimate must be still, and bodies are counted
+_PERIOD = 0.02  # s
 # In the order of the checklist; {} is the vehicle's body.
 _ALWAYS = (
     "arena clear",
@@ -93,11 +89,7 @@ class FlightChecklist:
         self._out = out
         self._say = say
         self._rehearsals = rehearsals
-        self._bodies = Bodies(rig.clock)
-        self._lock = threading.Lock()
-        self._own: deque[tuple[float, np.ndarray]] = deque(maxlen=_SAMPLES)
         self._runs: list[list[pf.Line]] = []
-        rig.listeners.frames.append(self._see)
 
     def __call__(self) -> list[str]:
         """What keeps the vehicle on the ground, in plain words."""
@@ -123,20 +115,25 @@ class FlightChecklist:
             "checks": [[asdict(line) for line in lines] for lines in self._runs],
         }
 
-    def _see(self, frame: PoseFrame, result: FrameResult) -> None:
-        self._bodies.note(frame, result)
-        state = self._rig.backend.telemetry(self._rig.vehicle).state
-        if state is None:
-            return
-        with self._lock:
-            if not self._own or self._own[-1][0] != state.timestamp:
-                self._own.append((state.timestamp, state.position))
+    def _look(self) -> tuple[Bodies, list[np.ndarray]]:
+        """Bodies that the cameras see, and the vehicle's own positions, for a moment."""
+        rig, clock = self._rig, self._rig.clock
+        bodies, own = Bodies(clock), []
+        rig.listeners.frames.append(bodies.note)
+        try:
+            end = clock.now() + _LOOK
+            while clock.now() < end:
+                clock.sleep_until(clock.now() + _PERIOD)
+                state = rig.backend.telemetry(rig.vehicle).state
+                if state is not None:
+                    own.append(state.position)
+        finally:
+            rig.listeners.frames.remove(bodies.note)
+        return bodies, own
 
     def _gather(self) -> pf.Preflight:
         rig, clock = self._rig, self._rig.clock
-        with self._lock:
-            since = clock.now() - _SETTLED
-            own = [position for time, position in self._own if time >= since]
+        bodies, own = self._look()
         controller = None
         with contextlib.suppress(BackendError):
             controller = int(rig.backend.get_param(rig.vehicle, "stabilizer.controller"))
@@ -162,8 +159,8 @@ class FlightChecklist:
         checklist = pf.Preflight(
             self._level,
             [fact],
-            bodies=sorted(self._bodies.now()),
-            known=self._bodies.known(Fence.from_level(self._level)),
+            bodies=sorted(bodies.now()),
+            known=bodies.known(Fence.from_level(self._level)),
             estop=EmergencyStop([], clock),
             out=self._out,
             clock=clock,

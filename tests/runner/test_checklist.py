@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,13 +63,12 @@ def stand(tmp_path):
         )
         if stranger is not None:
             upright = Pose(np.array(stranger), np.array([0.0, 0.0, 0.0, 1.0]))
-            listen = rig.listeners.frames[-1]
+            on_frame = rig.listeners.on_frame
 
             def see(frame, result):
-                listen(type(frame)(frame.timestamp, frame.received, frame.frame_id,
-                                   {**frame.bodies, "person1": upright}), result)  # fmt: skip
+                on_frame(replace(frame, bodies={**frame.bodies, "person1": upright}), result)
 
-            rig.listeners.frames[-1] = see
+            rig.pipeline._on_frame = (see,)
         crew = Crew(rig, world, level, timeouts=QUICK, checks=(checklist,), anywhere=True)
         return rig, crew, checklist, said
 
