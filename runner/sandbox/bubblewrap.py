@@ -27,11 +27,36 @@ def program() -> str | None:
     return found if trial.returncode == 0 else None
 
 
-def prefix(bwrap: str, read: Sequence[Path], write: Path, work: Path, as_root: bool) -> list[str]:
+@cache
+def can_limit(bwrap: str) -> bool:
+    """Whether it can make file systems of limited size (since 0.7)."""
+    try:
+        trial = subprocess.run(
+            [bwrap, "--unshare-all", "--ro-bind", "/", "/", "--size", "4096", "--tmpfs", "/tmp"]
+            + ["true"],
+            capture_output=True,
+            timeout=10,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return trial.returncode == 0
+
+
+def prefix(
+    bwrap: str,
+    read: Sequence[Path],
+    write: Path,
+    work: Path,
+    as_root: bool,
+    given: Path,
+    size: int | None,
+) -> list[str]:
     """Command line that runs what follows with ``read`` visible and ``write`` writable.
 
     ``as_root``: started by the super-user; what follows may then become another user, which
-    it could not inside a user namespace.
+    it could not inside a user namespace. ``size``: bytes of an empty file system to put at
+    ``write`` instead; what is there can then be read at ``given``.
     """
     command = [bwrap]
     if as_root:
@@ -46,7 +71,16 @@ def prefix(bwrap: str, read: Sequence[Path], write: Path, work: Path, as_root: b
         command += [*_way_to(path, made, bound), "--ro-bind-try", str(path), str(path)]
         bound.add(path)
     command += _way_to(write, made, bound)
-    return [*command, "--bind", str(write), str(write), "--chdir", str(work)]
+    if size is None:
+        command += ["--bind", str(write), str(write)]
+    else:
+        command += [*_way_to(given, made, bound), "--ro-bind", str(write), str(given)]
+        command += ["--perms", "1777", "--size", str(size), "--tmpfs", str(write)]
+        command += ["--perms", "0777", "--dir", str(work)]
+    # Its own files are all it may fill.
+    for place in ("/tmp", "/dev", "/"):
+        command += ["--remount-ro", place]
+    return [*command, "--chdir", str(work)]
 
 
 def _way_to(path: Path, made: set[Path], bound: set[Path]) -> list[str]:

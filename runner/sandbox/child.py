@@ -1,7 +1,9 @@
 """The contestant's side: confines itself, loads the submission and answers questions.
 
-Run as ``python -m crazyarena.runner.sandbox.child FD BOX COPY IN_BUBBLEWRAP USER LIMITS``; USER
-is the id to change to, or the present one.
+Run as ``python -m crazyarena.runner.sandbox.child FD FILES GIVEN COPY DISK USER LIMITS SIZE
+INODES``; DISK is who bounds FILES: ``bubblewrap`` has put an empty file system there, ``wrapped``
+runs in one without, ``mount`` tries to make one of SIZE and INODES, ``none`` does not; USER is the
+id to change to, or the present one.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from pathlib import Path
 
 from crazyarena.runner.sandbox import limits as limits_module
 from crazyarena.runner.sandbox import namespaces
+from crazyarena.runner.sandbox.files import fill, mount_own
 
 
 def _processes_of(uid: int) -> int:
@@ -32,13 +35,17 @@ def _processes_of(uid: int) -> int:
 
 def main(arguments: list[str]) -> None:
     """Serve until the runner closes the channel."""
-    number, box, copy, in_bubblewrap, user, limits = arguments
-    wrapped = in_bubblewrap == "1"
+    number, files, given, copy, disk, user, limits, size, inodes = arguments
+    wrapped = disk in ("bubblewrap", "wrapped")
+    changes_user = int(user) != os.getuid()
     channel = socket.socket(fileno=int(number))
     namespaces.die_with_parent()
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    entered: list[str] = [] if wrapped else namespaces.enter()
+    entered: list[str] = [] if wrapped else namespaces.enter(own_users=not changes_user)
+    own_files = disk == "bubblewrap"
+    if disk == "mount":
+        own_files = mount_own(Path(files), Path(given), int(size), int(inodes))
     if "processes" in entered:
         # A bare record, as in wire.py, whose imports would be in the way of a quick fork.
         import struct
@@ -48,12 +55,16 @@ def main(arguments: list[str]) -> None:
             channel.close()
 
         namespaces.split(tell)
-    if int(user) != os.getuid():
+    if changes_user:
         os.setgroups([])
         os.setgid(int(user))
         os.setuid(int(user))
         # Changing the user cleared it; also, memory of this process is now its user's to see.
         namespaces.die_with_parent()
+    if own_files:
+        fill(Path(files), Path(given))
+    work = Path(files) / "work"
+    os.chdir(work)
     counted = 0 if wrapped or "user" in entered else _processes_of(os.getuid())
     limits_module.apply(limits_module.Limits(**json.loads(limits)), counted)
     faulthandler.enable()
@@ -63,15 +74,18 @@ def main(arguments: list[str]) -> None:
     from crazyarena.runner.sandbox import wire
     from crazyarena.runner.sandbox.confine import confine
 
-    state = confine(Path(box), entered, wrapped)
+    own = os.open(files, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    state = confine(Path(files), entered, wrapped)
     report = {
         "complete": state.complete,
         "missing": state.missing,
         "notes": state.notes,
         # The super-user's processes are not counted.
         "processes_limited": os.getuid() != 0,
+        "own_files": own_files,
     }
-    channel.send(wire.encode_text(wire.READY, json.dumps(report)))
+    socket.send_fds(channel, [wire.encode_text(wire.READY, json.dumps(report))], [own])
+    os.close(own)
 
     pilot: Pilot | None = None
     while True:
@@ -81,7 +95,7 @@ def main(arguments: list[str]) -> None:
         verb, payload = pickle.loads(packet)
         if verb == "load":
             try:
-                pilot = Pilot(Submission(copy, Path(box) / "work"))
+                pilot = Pilot(Submission(copy, work))
                 answer = wire.encode_text(wire.MADE, "")
             except BaseException as error:
                 answer = wire.encode_text(wire.FAILED, _told(error))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+from pathlib import Path
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
@@ -19,6 +20,15 @@ CLONE_NEWIPC = 0x08000000
 CLONE_NEWUSER = 0x10000000
 CLONE_NEWPID = 0x20000000
 CLONE_NEWNET = 0x40000000
+
+MS_RDONLY = 1
+MS_NOSUID = 2
+MS_NODEV = 4
+MS_NOEXEC = 8
+MS_REMOUNT = 32
+MS_BIND = 4096
+MS_REC = 16384
+MS_PRIVATE = 1 << 18
 
 
 def _checked(result: int) -> int:
@@ -38,6 +48,15 @@ def prctl(option: int, *arguments: object) -> None:
 def unshare(flags: int) -> None:
     """Call unshare(2); raises OSError."""
     _checked(_LIBC.unshare(ctypes.c_int(flags)))
+
+
+def mount(
+    source: str | None, target: Path, kind: str | None, flags: int, options: str | None = None
+) -> None:
+    """Call mount(2); raises OSError."""
+    texts = [None if text is None else os.fsencode(text) for text in (source, target, kind)]
+    data = None if options is None else options.encode()
+    _checked(_LIBC.mount(*texts, ctypes.c_ulong(flags), data))
 
 
 def syscall(number: int, *arguments: object) -> int:

@@ -13,7 +13,8 @@ class Limits:
     """Limits of one contestant.
 
     address_space, file_size: bytes, of each process and file; cpu: s of each process;
-    processes: at once; open_files: of each process; copy_size: bytes a submission may have;
+    processes: at once; open_files: of each process; disk, files: bytes in, and number of, all
+    its files and folders beyond those of the submission; copy_size: bytes a submission may have;
     make_timeout, hook_timeout: s of wall time for the constructor and the episode hooks.
     """
 
@@ -22,6 +23,8 @@ class Limits:
     processes: int = 64
     file_size: int = 64 * _MIB
     open_files: int = 256
+    disk: int = 256 * _MIB
+    files: int = 20_000
     copy_size: int = 1024 * _MIB
     make_timeout: float = 120.0
     hook_timeout: float = 120.0

@@ -10,12 +10,17 @@ from collections.abc import Callable
 from crazyarena.runner.sandbox import kernel
 
 
-def enter() -> list[str]:
+def enter(own_users: bool = True) -> list[str]:
     """Enter new namespaces as far as allowed; returns which: ``user``, ``network``, ``ipc``,
-    ``processes``. The last one begins with the next child, see :func:`split`."""
+    ``processes``. The last one begins with the next child, see :func:`split`.
+
+    ``own_users`` False leaves out the first, in which nobody can become another user.
+    """
     entered = []
     uid, gid = os.getuid(), os.getgid()
     try:
+        if not own_users:
+            raise PermissionError
         kernel.unshare(kernel.CLONE_NEWUSER)
         with open("/proc/self/setgroups", "w") as stream:
             stream.write("deny")

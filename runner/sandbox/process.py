@@ -23,13 +23,15 @@ from crazyarena.errors import CrazyarenaError, InputError
 from crazyarena.levels.schema import Level
 from crazyarena.runner.contender import Answer, Question
 from crazyarena.runner.contestant import entry_file, submission_hash
-from crazyarena.runner.sandbox import bubblewrap, wire
+from crazyarena.runner.sandbox import bubblewrap, quota, wire
 from crazyarena.runner.sandbox.box import Box
 from crazyarena.runner.sandbox.confine import interpreter_paths, package_paths, readable
 from crazyarena.runner.sandbox.limits import Limits
 
 _NOBODY = 65534
 _START_TIMEOUT = 60.0  # s, for the interpreter to come up
+_LOOK = 0.25  # s, between looks at how many files there are, while nothing else happens
+_MIB = 2**20
 _THREADS = (
     "OPENBLAS_NUM_THREADS",
     "OMP_NUM_THREADS",
@@ -38,6 +40,10 @@ _THREADS = (
     "VECLIB_MAXIMUM_THREADS",
     "NUMBA_NUM_THREADS",
 )
+
+
+# Tests of what happens on machines that allow no mounts set this to False.
+MOUNT = True
 
 
 class SandboxError(CrazyarenaError):
@@ -71,6 +77,8 @@ class Sandboxed:
         self._inner: int | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: socket.socket | None = None
+        self._files: int | None = None
+        self._quota: subprocess.Popen[str] | None = None
         self._box = Box(self.path, self._limits.copy_size)
         try:
             self._start()
@@ -91,8 +99,10 @@ class Sandboxed:
     # Contender
 
     def make(self, obs: list[Any], level: Level, start: NDArray[np.float64]) -> None:
-        # The seed would tell where gates are that nobody has seen yet.
-        public = level.model_copy(update={"seed": 0})
+        # Both would tell where gates are that nobody has seen yet.
+        still = tuple(gate.model_copy(update={"motion": None}) for gate in level.track.gates)
+        track = level.track.model_copy(update={"gates": still})
+        public = level.model_copy(update={"seed": 0, "track": track})
         payload = (obs, public, start)
         self._request("make", payload, self._limits.make_timeout, "Controller(...)")
 
@@ -151,6 +161,9 @@ class Sandboxed:
         if self._channel is not None:
             self._channel.close()
             self._channel = None
+        if self._files is not None:
+            os.close(self._files)
+            self._files = None
         self._box.remove()
 
     # The process
@@ -168,6 +181,10 @@ class Sandboxed:
             os.killpg(process.pid, signal.SIGKILL)
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(timeout=10.0)
+        if self._quota is not None:
+            with self._quota as watch:
+                watch.kill()
+            self._quota = None
 
     @property
     def pid(self) -> int | None:
@@ -186,11 +203,18 @@ class Sandboxed:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._channel = ours
         command: list[str] = []
+        size, inodes = box.size + limits.disk, box.count + limits.files
         if bwrap is not None:
-            command = bubblewrap.prefix(bwrap, readable(), box.root, box.work, root)
+            own = bubblewrap.can_limit(bwrap)
+            disk = "bubblewrap" if own else "wrapped"
+            command = bubblewrap.prefix(
+                bwrap, readable(), box.files, box.work, root, box.given, size if own else None
+            )
+        else:
+            disk = "mount" if MOUNT else "none"
         command += [sys.executable, "-s", "-m", "crazyarena.runner.sandbox.child"]
-        command += [str(theirs.fileno()), str(box.root), str(box.submission)]
-        command += ["0" if bwrap is None else "1", str(user), json.dumps(asdict(limits))]
+        command += [str(theirs.fileno()), str(box.files), str(box.given), str(box.submission)]
+        command += [disk, str(user), json.dumps(asdict(limits)), str(size), str(inodes)]
         with theirs, open(box.output, "ab") as output:
             self._process = subprocess.Popen(
                 command,
@@ -222,10 +246,10 @@ class Sandboxed:
 
     def _await_ready(self, require: bool) -> dict[str, Any]:
         try:
-            message = self._receive(_START_TIMEOUT)
+            message = self._receive_ready()
             if isinstance(message, int):
                 self._inner = message
-                message = self._receive(_START_TIMEOUT)
+                message = self._receive_ready()
             if not isinstance(message, wire.Text) or message.kind != wire.READY:
                 raise wire.ChannelError("it did not report to be ready")
             report = json.loads(message.text)
@@ -245,6 +269,12 @@ class Sandboxed:
             notes.append("unprivileged user")
         if not report["processes_limited"]:
             notes.append("processes not counted (super-user)")
+        disk = f"disk {self._limits.disk // _MIB} MiB"
+        if report["own_files"]:
+            notes.append(f"{disk} (file system of its own)")
+        else:
+            notes.append(f"{disk} (watched)")
+            self._watch_files()
         limits = asdict(self._limits)
         return {
             "process": "its own",
@@ -252,6 +282,49 @@ class Sandboxed:
             "missing": report["missing"],
             "limits": limits,
         }
+
+    def _receive_ready(self) -> Answer | wire.Text | int | None:
+        """As :meth:`_receive`; its own folder comes along, before it runs foreign code."""
+        assert self._channel is not None
+        self._channel.settimeout(_START_TIMEOUT)
+        try:
+            packet, files, _, _ = socket.recv_fds(self._channel, wire.MAX_PACKET, 1)
+        except TimeoutError:
+            return None
+        except OSError as error:
+            raise _Dead(self._obituary(str(error))) from None
+        if files:
+            self._files = files[0]
+            os.set_inheritable(self._files, False)
+        if not packet:
+            raise _Dead(self._obituary("it closed the channel"))
+        return wire.decode(packet)
+
+    def _watch_files(self) -> None:
+        """Measure from a process beside this one: the file system sets no limit."""
+        assert self._process is not None
+        if self._files is not None:
+            os.close(self._files)
+            self._files = None
+        box, limits = self._box, self._limits
+        numbers = (box.size + limits.disk, box.count + limits.files, self._process.pid)
+        self._quota = subprocess.Popen(
+            [sys.executable, "-I", "-S", quota.__file__, str(box.files), *map(str, numbers)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def _excess(self) -> str | None:
+        """What it has too much of, in words. Its own file system bounds the bytes by itself."""
+        if self._files is not None:
+            status = os.fstatvfs(self._files)
+            limit = self._box.count + self._limits.files
+            return quota.words(0, status.f_files - status.f_ffree, 0, limit)
+        if self._quota is not None and self._quota.poll() == quota.EXCEEDED:
+            assert self._quota.stdout is not None
+            return self._quota.stdout.read().strip()
+        return None
 
     def _request(self, verb: str, payload: object, timeout: float, what: str) -> None:
         """Send, wait for success; raises InputError with the reason otherwise."""
@@ -283,19 +356,37 @@ class Sandboxed:
 
     def _receive(self, timeout: float) -> Answer | wire.Text | int | None:
         assert self._channel is not None
-        self._channel.settimeout(max(0.0, timeout))
-        try:
-            packet = self._channel.recv(wire.MAX_PACKET)
-        except (TimeoutError, BlockingIOError):
-            return None
-        except OSError as error:
-            raise _Dead(self._obituary(str(error))) from None
+        left = max(0.0, timeout)
+        while True:
+            excess = self._excess()
+            if excess is not None:
+                self.kill()
+                raise _Dead(excess)
+            slice_ = min(left, _LOOK)
+            left -= slice_
+            self._channel.settimeout(slice_)
+            try:
+                packet = self._channel.recv(wire.MAX_PACKET)
+                break
+            except (TimeoutError, BlockingIOError):
+                if left <= 0.0:
+                    return None
+            except OSError as error:
+                raise _Dead(self._obituary(str(error))) from None
         if not packet:
             raise _Dead(self._obituary("it closed the channel"))
         return wire.decode(packet)
 
     def _obituary(self, otherwise: str) -> str:
         assert self._process is not None
+        if self._quota is not None:
+            # If that is what ended it, it is about to say so.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._quota.wait(timeout=0.1)
+            excess = self._excess()
+            if excess is not None:
+                self.kill()
+                return excess
         try:
             code = self._process.wait(timeout=0.5)
         except subprocess.TimeoutExpired:

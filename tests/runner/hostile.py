@@ -1,5 +1,6 @@
 """Submissions that mean harm. Each is a body of ``cmdFirmware`` (or of the constructor).
 
+``{key}`` are the inverted bits of a number in the exact pose of a gate that is out of range.
 ``{secret}`` is a file beside the results that holds what the contestant must not learn,
 ``{outside}`` a folder it must not write to, ``{port}`` a TCP port of the runner's machine.
 An attack that gets through writes BREACH to its output.
@@ -88,6 +89,28 @@ FATAL = {
     ),
 }
 
+# Those that fill the disk; on every kind of file system that a machine may give.
+FILLERS = {
+    "many_big_files": (
+        "for k in range(500):\n            with open(f'{k}.bin', 'wb') as f:\n"
+        "                f.write(b'x' * (10 << 20))",
+        ("No space left", "of disk"),
+    ),
+    "big_files_at_home": (
+        "block = b'x' * (10 << 20)\n        for k in range(500):\n"
+        "            open(os.path.expanduser(f'~/{k}'), 'wb').write(block)",
+        ("No space left", "of disk"),
+    ),
+    "million_small_files": (
+        "for k in range(1000000):\n            open(f'{k}', 'w').close()",
+        ("No space left", "files"),
+    ),
+    "folders_in_folders": (
+        "while True:\n            os.mkdir('d')\n            os.chdir('d')",
+        ("No space left", "files", "File name too long"),
+    ),
+}
+
 # Those that are denied what they want: name -> code that must raise; the trial goes on.
 DENIED = {
     "read_secret": "open('{secret}').read()",
@@ -113,6 +136,30 @@ assert any(isinstance(o, SimulatedArena) for o in gc.get_objects())
 from crazyarena.levels.schema import Level
 assert any(isinstance(o, Level) and o.seed for o in gc.get_objects())
 """,
+    "pose_in_memory": """
+found = 0
+for line in open('/proc/self/maps').readlines():
+    span, rights = line.split()[:2]
+    low, high = (int(end, 16) for end in span.split('-'))
+    if rights.startswith('rw') and high - low < 1 << 28:
+        data = ctypes.string_at(low, high - low)
+        words = np.frombuffer(data, np.uint64, len(data) // 8)
+        found += int((~words == np.uint64({key})).sum())
+assert found
+""",
+    "motion_in_memory": """
+from crazyarena.levels.schema import GateMotion
+assert any(isinstance(o, GateMotion) for o in gc.get_objects())
+""",
+    "other_contestants": """
+import glob, tempfile
+folder = os.path.dirname(os.path.dirname(os.getcwd()))
+others = glob.glob('/tmp/crazyarena-contestant-*/*')
+assert any(not o.startswith(folder) for o in others)
+""",
+    "temporary_folder": "open('/tmp/mine', 'w').write('x')",
+    "shared_memory": "open('/dev/shm/mine', 'w').write('x')",
+    "root_folder": "open('/mine', 'w').write('x')",
     "raise_limits": "resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY,) * 2)",
     "real_time_priority": "os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(99))",
     "become_root": "os.seteuid(0); os.setuid(0); open('/etc/crazyarena-was-here', 'w')",

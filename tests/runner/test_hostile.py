@@ -2,36 +2,67 @@
 
 import os
 import socket
+import struct
+import tempfile
 import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from crazyarena.errors import InputError
 from crazyarena.levels import load_level
+from crazyarena.levels.draw import LevelRandom
 from crazyarena.runner.compute import parse_compute
 from crazyarena.runner.control_loop import Deadlines
 from crazyarena.runner.flight import FlightTrial
+from crazyarena.runner.sandbox import bubblewrap, process
 from crazyarena.runner.sandbox.limits import Limits
 from crazyarena.runner.sandbox.process import Sandboxed
 from tests.runner.fakes import PathWorld, controller
-from tests.runner.hostile import DENIED, FATAL, IMPORTS
+from tests.runner.hostile import DENIED, FATAL, FILLERS, IMPORTS
 
-GOAL = (-0.5, 2.9, 0.75)
+PLACE = (-0.5, 2.9, 0.75)
 QUICK = ("raise", "os_exit", "segfault", "garbage", "infinite_loop")
-LIMITS = Limits(make_timeout=20.0, hook_timeout=5.0)
+LIMITS = Limits(make_timeout=20.0, hook_timeout=5.0, disk=64 * 2**20, files=2000)
+# One gate, out of range for ever; what stands for it in memory nobody but the referee may have.
+LEVEL = load_level(
+    "sim2real",
+    [
+        "episode_length=2.0",
+        "track.obstacles=[]",
+        "track.gates=[{x: 1.7, y: -2.2, type: tall, tracked: true,"
+        " motion: {x: 0.123456, period: 9}}]",
+    ],
+)
+HIDDEN = float(LevelRandom(LEVEL).reset().gates[0, 0])
+ENDS_WELL = "MAX EPISODE DURATION"
+HARMED = ("CONTROLLER ERROR", "CONTROLLER TIMEOUT")
 
 
-def fly(file, out=None):
+class Overheard(Sandboxed):
+    """A contestant whose every question is kept."""
+
+    def __init__(self, *arguments, **options):
+        self.told = []
+        super().__init__(*arguments, **options)
+
+    def ask(self, question):
+        self.told.append(question.info)
+        super().ask(question)
+
+
+def fly(file, out=None, compute="free", misses=45):
     """Fly a submission in a sandbox; returns the episode and what it printed."""
-    level = load_level("level0", ["track.gates=[]", "track.obstacles=[]"])
-    contender = Sandboxed(file, LIMITS)
+    contender = Overheard(file, LIMITS)
     try:
         # A busy machine must not turn a slow answer into a missing one.
-        deadlines = Deadlines(max_misses=45, compute=parse_compute("measured"))
-        world = PathWorld(lambda t: GOAL)
-        trial = FlightTrial(level, contender, world, deadlines=deadlines, episodes=1, out=out)
-        return trial.run().episodes[0], contender._box.last_output(1 << 20)
+        deadlines = Deadlines(max_misses=misses, compute=parse_compute(compute))
+        world = PathWorld(lambda t: PLACE)
+        trial = FlightTrial(LEVEL, contender, world, deadlines=deadlines, episodes=1, out=out)
+        episode = trial.run().episodes[0]
+        assert all(HIDDEN not in info.get("current_target_gate_pos", ()) for info in contender.told)
+        return episode, contender._box.last_output(1 << 20)
     finally:
         contender.close()
         assert not contender._box.root.exists()
@@ -45,7 +76,7 @@ def write(folder, step):
 
 
 def handles():
-    return len(os.listdir("/proc/self/fd"))
+    return sorted(os.listdir("/proc/self/fd"))
 
 
 def memory():
@@ -67,61 +98,177 @@ def children():
     return found
 
 
-@pytest.fixture(scope="module", autouse=True)
-def nothing_is_left_behind(tmp_path_factory):
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """A submission that does nothing wrong, flown once: everything is loaded now."""
+    file = write(tmp_path_factory.mktemp("good"), "return Command.NONE, []")
+    fly(file)
+    return file
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left_behind(good):
     """Memory, open files and processes are back to where they were, and flying still works."""
-    good = write(tmp_path_factory.mktemp("good"), "return Command.NONE, []")
-    fly(good)
     files, used, others = handles(), memory(), set(children())
     yield
     episode, _ = fly(good)
-    assert episode.termination == "TASK COMPLETION"
+    assert episode.termination == ENDS_WELL
+    assert episode.error is None
     assert handles() == files
     assert set(children()) <= others
-    assert memory() < used + 64 * 2**20
+    assert memory() < used + 32 * 2**20
 
 
-def check_fatal(tmp_path, name):
-    code, reason = FATAL[name]
-    outside = tmp_path / "results"
-    outside.mkdir()
-    file = write(tmp_path / "entry", code.replace("{outside}", str(outside)))
-    episode, _ = fly(file, out=outside)
-    assert episode.termination in ("CONTROLLER ERROR", "CONTROLLER TIMEOUT")
+@pytest.fixture
+def outside(tmp_path):
+    """A results folder with a secret in it."""
+    folder = tmp_path / "results"
+    folder.mkdir()
+    (folder / "level.yaml").write_text("seed: 4711\n")
+    return folder
+
+
+@pytest.fixture
+def server():
+    """A port of this machine; nobody has called when the test ends."""
+    with socket.create_server(("127.0.0.1", 0)) as made:
+        yield made
+        made.settimeout(0.0)
+        with pytest.raises(BlockingIOError):
+            made.accept()
+
+
+def filled_in(code, outside, server=None):
+    key = struct.unpack("<Q", struct.pack("<d", HIDDEN))[0] ^ 0xFFFFFFFFFFFFFFFF
+    for name, value in (
+        ("secret", outside / "level.yaml"),
+        ("outside", outside),
+        ("runner", os.getpid()),
+        ("port", server.getsockname()[1] if server else 0),
+        ("key", key),
+    ):
+        code = code.replace("{" + name + "}", str(value))
+    return code
+
+
+def check_untouched(outside, entry):
+    """Nothing but the recording was written."""
+    assert sorted(f.name for f in outside.iterdir()) == ["episode_000.mcap", "level.yaml"]
+    assert (outside / "level.yaml").read_text() == "seed: 4711\n"
+    assert [f.name for f in entry.iterdir()] == ["pilot.py"]
+
+
+def check_fatal(tmp_path, outside, code, *reasons, misses=45):
+    before = set(os.listdir(tempfile.gettempdir()))
+    file = write(tmp_path / "entry", "print('so far so good', flush=True)\n        " + code)
+    episode, printed = fly(file, outside, "measured", misses)
+    assert episode.termination in HARMED
     assert episode.error
-    assert reason in episode.error
-    # Nothing but the recording was written.
-    assert [f.name for f in outside.iterdir()] == ["episode_000.mcap"]
-    assert [f.name for f in (tmp_path / "entry").iterdir()] == ["pilot.py"]
+    assert any(reason in episode.error for reason in reasons)
+    # A traceback, or what it said last.
+    assert "Traceback" in episode.error or "so far so good" in printed + episode.error
+    assert any(event.name == "controller error" for event in recorded(outside)) or (
+        episode.termination == "CONTROLLER TIMEOUT"
+    )
+    check_untouched(outside, tmp_path / "entry")
+    new = set(os.listdir(tempfile.gettempdir())) - before
+    assert not [name for name in new if name in ("mine", "pickled")]
+    return episode
+
+
+def recorded(folder):
+    from crazyarena.runner import export
+    from crazyarena.runner.referee import Event
+
+    events = export.read(folder / "episode_000.mcap").events
+    return [Event(e["event"], e["tick"], e["time"], e["detail"]) for e in events]
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_ends_its_own_trial_and_nothing_else(tmp_path, name):
-    check_fatal(tmp_path, name)
+def test_ends_its_own_trial_and_nothing_else(tmp_path, outside, name):
+    code, reason = FATAL[name]
+    check_fatal(tmp_path, outside, filled_in(code, outside), reason)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in FATAL if n not in QUICK])
-def test_ends_its_own_trial_and_nothing_else_at_length(tmp_path, name):
-    check_fatal(tmp_path, name)
+def test_ends_its_own_trial_and_nothing_else_at_length(tmp_path, outside, name):
+    code, reason = FATAL[name]
+    check_fatal(tmp_path, outside, filled_in(code, outside), reason)
 
 
-def test_is_denied_what_is_not_its_own(tmp_path):
+# Disk
+
+KINDS = ("bubblewrap", "bubblewrap that cannot limit", "mount namespace", "none")
+
+
+@pytest.fixture
+def kind(request, monkeypatch):
+    """Fly as on machines that allow less than this one; skips what this one does not allow."""
+    if request.param == KINDS[1]:
+        monkeypatch.setattr(bubblewrap, "can_limit", lambda bwrap: False)
+    elif request.param in KINDS[2:]:
+        monkeypatch.setattr(bubblewrap, "program", lambda: None)
+        monkeypatch.setattr(process, "MOUNT", request.param == KINDS[2])
+    if request.param in KINDS[:2] and bubblewrap.program() is None:
+        pytest.skip("no bubblewrap here")
+    return request.param
+
+
+def check_filler(tmp_path, outside, name):
+    code, reasons = FILLERS[name]
+    # Patience enough to see what ends it, on whatever machine.
+    check_fatal(tmp_path, outside, code, *reasons, misses=1800)
+
+
+@pytest.mark.parametrize("name", ["many_big_files"])
+def test_the_disk_is_not_filled(tmp_path, outside, name):
+    check_filler(tmp_path, outside, name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS, indirect=True)
+@pytest.mark.parametrize("name", FILLERS)
+def test_the_disk_is_not_filled_on_any_machine(tmp_path, outside, name, kind):
+    check_filler(tmp_path, outside, name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS, indirect=True)
+def test_what_is_in_force_is_said_and_the_copy_is_whole(tmp_path, kind):
+    folder = tmp_path / "entry"
+    (folder / "data" / "deep").mkdir(parents=True)
+    (folder / "data" / "deep" / "numbers.txt").write_text("1 2 3\n")
+    step = (
+        "here = os.path.dirname(os.path.abspath(__file__))\n"
+        "        words = open(here + '/data/deep/numbers.txt').read()\n"
+        "        open(here + '/data/deep/more.txt', 'w').write(words * 3)\n"
+        "        open(os.environ['HOME'] + '/h', 'w').close()\n"
+        "        open(os.environ['TMPDIR'] + '/t', 'w').close()\n"
+        "        open('in_work', 'w').close()\n"
+        "        print('copy is', repr(words), os.getcwd(), flush=True)\n"
+        "        return Command.NONE, []"
+    )
+    (folder / "edit_this.py").write_text(IMPORTS + controller(step=step))
+    contender = Sandboxed(folder, LIMITS)
+    announced = contender.announcement
+    watched = "watched" in announced
+    contender.close()
+    assert "disk 64 MiB" in announced
+    assert watched == (kind in (KINDS[1], KINDS[3]))
+    episode, printed = fly(folder)
+    assert episode.error is None
+    assert "copy is '1 2 3\\n'" in printed
+    assert (folder / "data" / "deep" / "numbers.txt").read_text() == "1 2 3\n"
+    assert sorted(p.name for p in (folder / "data" / "deep").iterdir()) == ["numbers.txt"]
+
+
+# What is denied
+
+
+def check_denied(tmp_path, outside, server):
     """One submission, one attack a step; each must fail, and the trial must go on."""
-    outside = tmp_path / "results"
-    outside.mkdir()
-    secret = outside / "level.yaml"
-    secret.write_text("seed: 4711\n")
-    server = socket.create_server(("127.0.0.1", 0))
-    attacks = []
-    for name, code in DENIED.items():
-        code = (
-            code.replace("{secret}", str(secret))
-            .replace("{outside}", str(outside))
-            .replace("{port}", str(server.getsockname()[1]))
-            .replace("{runner}", str(os.getpid()))
-        )
-        attacks.append((name, code))
+    attacks = [(name, filled_in(code, outside, server)) for name, code in DENIED.items()]
     step = f"""
 attacks = {attacks!r}
 k = len(self.calls) - 1
@@ -134,23 +281,50 @@ if k < len(attacks):
         print("denied", name, repr(error), flush=True)
 return Command.NONE, []
 """
-    with server:
-        episode, printed = fly(
-            write(tmp_path / "entry", textwrap.indent(step, " " * 8).strip()), out=outside
-        )
-    assert episode.termination == "TASK COMPLETION", episode.error
+    episode, printed = fly(
+        write(tmp_path / "entry", textwrap.indent(step, " " * 8).strip()), out=outside
+    )
+    assert episode.termination == ENDS_WELL, episode.error
     lines = printed.splitlines()
     assert [line for line in lines if line.startswith("BREACH")] == []
     assert sum(line.startswith("denied") for line in lines) == len(DENIED)
-    assert secret.read_text() == "seed: 4711\n"
-    assert sorted(f.name for f in outside.iterdir()) == ["episode_000.mcap", "level.yaml"]
+    check_untouched(outside, tmp_path / "entry")
+
+
+def test_is_denied_what_is_not_its_own(tmp_path, outside, server):
+    check_denied(tmp_path, outside, server)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS[1:], indirect=True)
+def test_is_denied_what_is_not_its_own_on_any_machine(tmp_path, outside, server, kind):
+    check_denied(tmp_path, outside, server)
+
+
+def test_who_looks_through_memory_finds_what_is_there(tmp_path, outside):
+    """The search for the hidden pose does find numbers that the contestant was told."""
+    code = filled_in(DENIED["pose_in_memory"], outside)
+    hidden = struct.unpack("<Q", struct.pack("<d", HIDDEN))[0] ^ 0xFFFFFFFFFFFFFFFF
+    known = struct.unpack("<Q", struct.pack("<d", 1.7))[0] ^ 0xFFFFFFFFFFFFFFFF
+    code = code.replace(str(hidden), str(known)).strip()
+    once = "if len(self.calls) > 1:\n    return Command.NONE, []\n" + code
+    step = textwrap.indent(once, " " * 8).strip() + (
+        "\n        print('found', found, flush=True)\n        return Command.NONE, []"
+    )
+    episode, printed = fly(write(tmp_path / "entry", step))
+    assert episode.error is None
+    assert "found" in printed
+
+
+def test_there_are_enough_attacks():
+    assert len(FATAL) + len(FILLERS) + len(DENIED) >= 50
 
 
 def test_a_fork_bomb_dies_with_its_trial(tmp_path):
     code = "while True:\n            os.fork()"
     before = set(children())
-    episode, _ = fly(write(tmp_path / "entry", code))
-    assert episode.termination in ("CONTROLLER ERROR", "CONTROLLER TIMEOUT")
+    episode, _ = fly(write(tmp_path / "entry", code), compute="measured")
+    assert episode.termination in HARMED
     assert set(children()) <= before
 
 
@@ -163,9 +337,8 @@ if len(self.calls) == 1 and os.fork() == 0:
                     clock.sleep(0.05)
             os._exit(0)
         return Command.NONE, []"""
-    level = load_level("level0", ["track.gates=[]", "track.obstacles=[]"])
     contender = Sandboxed(write(tmp_path / "entry", code), LIMITS)
-    FlightTrial(level, contender, PathWorld(lambda t: GOAL), episodes=1).run()
+    FlightTrial(LEVEL, contender, PathWorld(lambda t: PLACE), episodes=1).run()
     contender.close()
     left = []
     for name in os.listdir("/proc"):
@@ -186,6 +359,8 @@ if len(self.calls) == 1 and os.fork() == 0:
         ("raise OSError('gone')", "OSError: gone"),
         ("sys.exit('bye')", "bye"),
         ("ctypes.string_at(0)", "SIGSEGV"),
+        ("[open(f'{k}', 'wb').write(b'x' * (10 << 20)) for k in range(99)]", "No space left"),
+        ("[open(f'{k}', 'w').close() for k in range(10**6)]", "files"),
     ],
 )
 def test_a_constructor_that_fails_is_bad_input(tmp_path, init, words):
@@ -193,6 +368,8 @@ def test_a_constructor_that_fails_is_bad_input(tmp_path, init, words):
     file.write_text(IMPORTS + controller(init=init))
     contender = Sandboxed(file, LIMITS)
     try:
+        if bubblewrap.program() is None and "open(" in init:
+            pytest.skip("other words without bubblewrap")
         with pytest.raises(InputError, match=words):
             contender.make([0.0] * 12, load_level("level0"), np.zeros(12))
     finally:
@@ -218,3 +395,4 @@ def test_the_traceback_and_the_last_output_are_kept(tmp_path):
     episode, _ = fly(write(tmp_path / "other", "return self.no_such_thing"))
     assert "AttributeError" in episode.error
     assert "pilot.py" in episode.error
+    assert Path(episode.error.split('File "')[1].split('"')[0]).name == "pilot.py"

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from crazyarena.clock import VirtualClock
+from crazyarena.clock import VirtualClock, WallClock
 from crazyarena.crazyswarm_compat import commands as cs
 from crazyarena.levels import load_level
 from crazyarena.levels.draw import LevelRandom
 from crazyarena.mocap.estimator import FrameResult
 from crazyarena.mocap.survey import SurveyConfig, survey
+from crazyarena.mocap.zenoh_link import ZenohSource
 from crazyarena.runner import export
 from crazyarena.runner.crew import Crew, MeasuredTrack, Timeouts
 from crazyarena.runner.dry_run import DryRun
@@ -22,6 +23,7 @@ from crazyarena.runner.moving_gates import MovingGates
 from crazyarena.runner.referee import Referee
 from crazyarena.runner.rig import FrameListeners, simulated
 from crazyarena.runner.tracked_world import TrackedWorld
+from crazyarena.runner.virtual_arena import VirtualArena
 from crazyarena.sim_backend.arena_world import Track, motions, track_truth
 from crazyarena.sim_backend.physics.arena_plant import AB_CONTACT
 from crazyarena.sim_backend.physics.scene import build_scene
@@ -413,6 +415,26 @@ def test_the_simulated_gate_truly_is_there(swing):
         + ("motion: {y: 0.5, period: 6}}]" if swing else "}]"),
     ]
     assert hover_beside_gate(load_level("sim2real", overrides)) is swing
+
+
+@pytest.mark.slow
+def test_the_virtual_arena_shows_the_gates_moving(level_file, tmp_path):
+    level = load_level(level_file, ["track.gates[0].motion.period=2.0"])
+    clock = WallClock()
+    seen = []
+    with VirtualArena(level, 1, tmp_path) as arena:
+        source = ZenohSource(clock, connect=[arena.endpoint])
+        try:
+            end = clock.now() + 20.0
+            while len(seen) < 360 and clock.now() < end:
+                seen += [
+                    f.bodies for f in source.frames(0.1) if {"gate1", "gate2"} <= set(f.bodies)
+                ]
+        finally:
+            source.close()
+    y = [[bodies[name].position[1] for bodies in seen] for name in ("gate1", "gate2")]
+    assert np.ptp(y[0]) == pytest.approx(0.4, abs=0.01)
+    assert np.ptp(y[1]) < 0.01
 
 
 def test_geometry_and_cameras_see_the_same_gate(level_file):
