@@ -2,9 +2,9 @@
 
 ``python -m crazyarena.runner.campaign_station`` talks as :mod:`.json_child` does. It is told
 ``fault``, ``seed`` and ``level_file``, then ``uri`` and ``endpoint`` once there is a vehicle. It
-makes the vehicle ready as a trial does, answers ``ready``, is told ``go``, the host's time of the
-take-off, and flies a contestant's circuit until nobody speaks to it any more. Meanwhile it tells
-of every event of the watchdog.
+connects as ``crazyarena fly`` does, with a flight process, makes the vehicle ready, answers
+``ready``, is told ``go``, the host's time of the take-off, and flies a contestant's circuit until
+it is told to end; then it tells what the watchdog has done.
 """
 
 from __future__ import annotations
@@ -21,23 +21,21 @@ import numpy as np
 
 from crazyarena.clock import Clock, WallClock
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
-from crazyarena.crazyswarm_compat.radio.backend import RadioBackend
-from crazyarena.crazyswarm_compat.radio.options import RadioOptions
-from crazyarena.crazyswarm_compat.radio.outbox import OutboxOptions
 from crazyarena.errors import CommandError
 from crazyarena.levels import Level, load_level
+from crazyarena.mocap.source import SourceSpec
 from crazyarena.mocap.stamps import HostStamps
-from crazyarena.mocap.zenoh_link import ZenohSource
 from crazyarena.runner.campaign import _LAND_TIME, _MISSION, _RATE, BODY, FAULTS, VEHICLE
 from crazyarena.runner.campaign_plan import Plan, draw_plan
 from crazyarena.runner.crew import Crew, Timeouts
+from crazyarena.runner.flight_process.client import connected
 from crazyarena.runner.json_child import Message, Tell, converse
-from crazyarena.runner.realtime import quiet_collector, raise_priority
-from crazyarena.runner.rig import EXTERNAL_POSE_RATE, Rig, make_pipeline
-from crazyarena.runner.safeguard import Safeguard, limits_for
+from crazyarena.runner.realtime import quiet_collector, steady
+from crazyarena.runner.rig import Rig
+from crazyarena.runner.safeguard import limits_for
 from crazyarena.runner.scheduler import Scheduler
 from crazyarena.runner.tracked_world import TrackedWorld
+from crazyarena.safety.events import SafetyEvent
 from crazyarena.safety.limits import PID_BRAKING, Limits
 
 if TYPE_CHECKING:
@@ -70,10 +68,21 @@ class FaultyLink:
     cut = False
 
 
-class Station:
-    """Flies one contestant over a rig; public members are what faults use and change."""
+def _hang(seconds: float) -> None:
+    """Not on the rig's clock, which lives on while somebody waits."""
+    WallClock().sleep_until(seconds)
 
-    def __init__(self, fault: str, plan: Plan, rig: Rig, guard: Safeguard, tell: Tell) -> None:
+
+class Station:
+    """Flies one contestant over a rig; public members are what faults use and change.
+
+    ``hang(seconds)`` is what the control loop does when it is to be late.
+    """
+
+    def __init__(
+        self, fault: str, plan: Plan, rig: Rig, hang: Callable[[float], None] = _hang
+    ) -> None:
+        assert rig.safeguard is not None
         self.rng = plan.rng
         self.clock: Clock = rig.clock
         self.link = FaultyLink()
@@ -85,9 +94,8 @@ class Station:
         self._fault = fault
         self._plan = plan
         self._rig = rig
-        self._guard = guard
-        self._tell = tell
-        self._told = 0
+        self._guard = rig.safeguard
+        self._hang = hang
         self._start = math.inf
         self._landing = False
         self._struck = False
@@ -111,10 +119,9 @@ class Station:
         while not ended.is_set():
             self._control(self.clock.now())
             if self.stall > 0.0:
-                self.clock.sleep_until(self.clock.now() + self.stall)
+                self._hang(self.stall)
                 self.stall = 0.0
             self._guard.late(scheduler.wait())
-            self._tell_events()
 
     def _control(self, now: float) -> None:
         if not self._struck and now >= self.onset:
@@ -124,13 +131,13 @@ class Station:
         # What a fault does time and again it does where the radio is, if that is part of it.
         if self.each is not None and self._fault == "late_scheduler":
             self.each(now - self.onset)
-        if self._landing or self._guard.watchdog.action(VEHICLE).takes_over:
+        if self._landing or self._guard.verdict() is not None:
             return
         if now >= self._start + _MISSION:
             self._landing = True
-            self._guard.watchdog.controller_done(VEHICLE)
-            self._send(c.NotifySetpointsStop())
-            self._send(c.Land(0.0, _LAND_TIME))
+            if not self._guard.end():
+                self._send(c.NotifySetpointsStop())
+                self._send(c.Land(0.0, _LAND_TIME))
             return
         command = self.setpoint if self.contestant is None else self.contestant(now)
         if command is not None:
@@ -142,55 +149,14 @@ class Station:
         with contextlib.suppress(CommandError):  # counted by the gate
             self._rig.backend.send(command, VEHICLE)
 
-    def _tell_events(self) -> None:
-        events = self._guard.watchdog.events
-        while self._told < len(events):
-            event = asdict(events[self._told])
-            self._tell({"event": {**event, "time": event["time"] - self._start}})
-            self._told += 1
+    def record(self) -> list[SafetyEvent]:
+        """What the watchdog has done."""
+        return self._guard.record()
 
 
 def _limits(level: Level, plan: Plan) -> Limits:
     limits = limits_for(level.control_frequency, _MISSES)
     return limits if plan.mellinger else replace(limits, braking=PID_BRAKING)
-
-
-def _connect(level: Level, uri: str, endpoint: str, limits: Limits) -> tuple[Rig, Safeguard]:
-    """Vehicle link, cameras and safety of an arena, all in this process, running."""
-    clock = WallClock()
-    x, y, z = level.start.position
-    config = VehicleConfig(id=VEHICLE, name=BODY, initial_position=(x, y, z), uri=uri)
-    options = RadioOptions(outbox=OutboxOptions(extpose_rate=2.0 * EXTERNAL_POSE_RATE))
-    with contextlib.ExitStack() as undo:
-        source = ZenohSource(clock, connect=[endpoint])
-        undo.callback(source.close)
-        backend = RadioBackend(FleetConfig((config,), "campaign"), clock, options)
-        undo.callback(backend.close)
-        guard = Safeguard(
-            level, backend, clock, VEHICLE, BODY, limits=limits, feed=backend.arm_watchdog
-        )
-        undo.callback(guard.close)
-        pipeline, listeners = make_pipeline(
-            source, clock, guard.gate.runner, {BODY: VEHICLE}, threaded=True
-        )
-        undo.callback(pipeline.close)
-        guard.watch(pipeline)
-        listeners.frames.append(guard.on_frame)
-        pipeline.start()
-        guard.watchdog.start()
-        rig = Rig(
-            clock,
-            guard.gate.runner,
-            pipeline,
-            listeners,
-            VEHICLE,
-            BODY,
-            lambda draw: None,
-            guard,
-            closers=[undo.pop_all().close],
-        )
-        return rig, guard
-    raise AssertionError("unreachable")
 
 
 def _ready(rig: Rig, level: Level, plan: Plan) -> None:
@@ -209,11 +175,17 @@ def _run(heard: queue.Queue[Message | None], tell: Tell) -> None:
     plan = draw_plan(config["fault"], config["seed"])
     level = load_level(config["level_file"])
 
-    raise_priority(inherit=True)
-    rig, guard = _connect(level, place["uri"], place["endpoint"], _limits(level, plan))
-    with contextlib.closing(rig), quiet_collector():
+    rig = connected(
+        level,
+        place["uri"],
+        SourceSpec("zenoh", {"connect": [place["endpoint"]]}),
+        vehicle=VEHICLE,
+        body=BODY,
+        limits=_limits(level, plan),
+    )
+    with contextlib.closing(rig), quiet_collector(), steady():
         _ready(rig, level, plan)
-        station = Station(config["fault"], plan, rig, guard, tell)
+        station = Station(config["fault"], plan, rig)
         tell({"ready": True})
         go = heard.get()
         if go is None:
@@ -221,12 +193,14 @@ def _run(heard: queue.Queue[Message | None], tell: Tell) -> None:
         ended = threading.Event()
 
         def listen() -> None:
-            while heard.get() is not None:
-                pass
+            heard.get()
             ended.set()
 
         threading.Thread(target=listen, name="listen", daemon=True).start()
-        station.fly(HostStamps(rig.clock).to_session(go["go"]), ended)
+        start = HostStamps(rig.clock).to_session(go["go"])
+        station.fly(start, ended)
+        events = [asdict(event) for event in station.record()]
+        tell({"events": [{**event, "time": event["time"] - start} for event in events]})
 
 
 if __name__ == "__main__":

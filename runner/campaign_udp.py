@@ -1,8 +1,9 @@
 """The fault campaign over the virtual radio: the stack of the arena, in real time.
 
-Of each flight two processes: vehicle, radio and cameras (:mod:`.campaign_field`), and the ground
-station (:mod:`.campaign_station`) with cflib, cameras over zenoh, watchdog thread and command
-gate. What became of the vehicle is told by the former, who knows.
+Of each flight: a process with vehicle, radio and cameras (:mod:`.campaign_field`), and the ground
+station (:mod:`.campaign_station`), which flies it as ``crazyarena fly`` does: with a flight process
+of its own, cflib, cameras over zenoh, watchdog thread and command gate. What became of the
+vehicle is told by the former, who knows.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ UDP_FAULTS = tuple(
 )
 _START_TIMEOUT = 300.0  # s; the first run compiles
 _LEAD = 0.3  # s, for word of the take-off to get around
-_GRACE = 10.0  # s
+_GRACE = 25.0  # s
 
 
 def fly(fault: str, seed: int, level: str = "level0") -> Outcome:
@@ -70,12 +71,15 @@ def fly(fault: str, seed: int, level: str = "level0") -> Outcome:
                 time.sleep(max(0.0, start + plan.onset - host_time()))
                 station.kill()
             report = field.take(_LEAD + _MISSION + _LAND_TIME + _PATIENCE + _GRACE)
-            said = station.rest(_GRACE)
-    return _outcome(fault, seed, plan.onset, report, said)
+            told: list[Message] = []
+            if fault != KILLED:
+                station.tell({"end": True})
+                told = station.take(_GRACE)["events"]
+    return _outcome(fault, seed, plan.onset, report, told)
 
 
-def _outcome(fault: str, seed: int, onset: float, report: Message, said: list[Message]) -> Outcome:
-    events = [_event(message["event"]) for message in said if "event" in message]
+def _outcome(fault: str, seed: int, onset: float, report: Message, told: list[Message]) -> Outcome:
+    events = [_event(event) for event in told]
     action = max((event.action for event in events), default=Action.NONE)
     taken = [event.rule for event in events if event.action.takes_over]
     safe_after = report["safe_after"]

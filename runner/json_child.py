@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import queue
+import signal
 import subprocess
 import sys
 import threading
@@ -22,8 +23,8 @@ Message = dict[str, Any]
 class JsonChild:
     """Runs ``python -m module``; messages go to its stdin and come from its stdout.
 
-    Use as a context manager: the child does not outlive it. Nor does it get the terminal's
-    Ctrl-C, which is its parent's business.
+    Use as a context manager: neither the child nor what it has started outlives it. Nor do they
+    get the terminal's Ctrl-C, which is the parent's business.
 
     Parameters
     ----------
@@ -44,6 +45,7 @@ class JsonChild:
                 text=True,
                 start_new_session=True,
             )
+        self._killed = False
         self._heard: queue.Queue[Message | None] = queue.Queue()
         self._reader = threading.Thread(target=self._read, name=f"from {module}", daemon=True)
         self._reader.start()
@@ -91,30 +93,13 @@ class JsonChild:
             raise BackendError(f"{self._module} has ended: {words or 'without a word'}")
         return message
 
-    def rest(self, timeout: float) -> list[Message]:
-        """Let the child know that nothing more comes, and return what it still says.
-
-        Returns when it has ended; one that takes longer than ``timeout`` s is killed.
-        """
-        assert self._process.stdin is not None
-        with contextlib.suppress(OSError):
-            self._process.stdin.close()
-        try:
-            self._process.wait(timeout)
-        except subprocess.TimeoutExpired:
-            self.kill()
-        self._reader.join()
-        said = []
-        while not self._heard.empty():
-            message = self._heard.get()
-            if message is not None:
-                said.append(message)
-        self._heard.put(None)
-        return said
-
     def kill(self) -> None:
-        """SIGKILL; returns when it is dead."""
-        self._process.kill()
+        """SIGKILL to the child and all that it has started; returns when it is dead."""
+        if not self._killed:
+            self._killed = True
+            # The group is that of its session; it may be alone in it, and have ended.
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
 
     def close(self) -> None:

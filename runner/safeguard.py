@@ -197,6 +197,10 @@ class Safeguard:
             self._clock.sleep_until(self._clock.now() + TICK)
         return True
 
+    def record(self) -> list[SafetyEvent]:
+        """Everything the watchdog has done so far."""
+        return list(self.watchdog.events)
+
     def events(self) -> list[Event]:
         told, self._told[:] = list(self._told), []
         return [

@@ -33,6 +33,7 @@ from crazyarena.runner.rig import FrameListeners, Rig
 from crazyarena.runner.safeguard import LANDING, TICK
 from crazyarena.runner.stops import StopOptions
 from crazyarena.runner.wakeup import StampedClock
+from crazyarena.safety.events import SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import Limits
 from crazyarena.types import Pose, PoseFrame, Telemetry
@@ -352,6 +353,11 @@ class RemoteSafeguard:
         told: list[Event] = []
         with contextlib.suppress(BackendError):
             told = self._process.ask("events")
+        return told
+
+    def record(self) -> list[SafetyEvent]:
+        """Everything the watchdog has done so far; raises BackendError if it is gone."""
+        told: list[SafetyEvent] = self._process.ask("record")
         return told
 
     def stop(self, source: str, reason: str) -> None:
