@@ -6,7 +6,6 @@ The same for simulation, bench and arena: nothing here knows where the poses com
 from __future__ import annotations
 
 import math
-import threading
 from typing import Any
 
 import numpy as np
@@ -38,14 +37,13 @@ class TrackedWorld:
     """The :class:`~crazyarena.runner.world.World` of a rig.
 
     Episode time starts with :meth:`begin`; a row is kept for every accepted pose that was
-    captured since. The setpoint in it is the last one streamed. Safe to use while
-    another thread polls the pipeline.
+    captured since. The setpoint in it is the last one streamed. Frames come in the thread that
+    lets time pass on the rig's clock.
     """
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self.clock = rig.clock
-        self._lock = threading.Lock()
         self._rows: list[Array] = []
         self._last: Array | None = None
         self._epoch = math.inf
@@ -54,18 +52,16 @@ class TrackedWorld:
 
     def begin(self) -> float:
         """Start the episode's time now; returns that, s on the session's clock."""
-        with self._lock:
-            self._rows.clear()
-            self._epoch = self.clock.now()
-            return self._epoch
+        self._rows.clear()
+        self._epoch = self.clock.now()
+        return self._epoch
 
     def reset(self, draw: Any) -> None:
         """Make ready for an episode; its time does not run before :meth:`begin`."""
         self.rig.stage(draw)
-        with self._lock:
-            self._rows.clear()
-            self._last = None
-            self._epoch = math.inf
+        self._rows.clear()
+        self._last = None
+        self._epoch = math.inf
 
     def send(self, command: Command) -> None:
         """Send to the rig's vehicle."""
@@ -78,8 +74,7 @@ class TrackedWorld:
 
     def poll(self) -> Array:
         """Rows (k, TRACE_SIZE) of the poses since the last call."""
-        with self._lock:
-            rows, self._rows = self._rows, []
+        rows, self._rows = self._rows, []
         if not rows:
             return np.empty((0, TRACE_SIZE))
         info = self.rig.backend.telemetry(self.rig.vehicle).supervisor
@@ -112,11 +107,10 @@ class TrackedWorld:
         if pose is None:
             return
         row = self._row(pose, frame.received)
-        with self._lock:
-            row[TR_TIME] = frame.timestamp - self._epoch
-            self._last = row
-            if row[TR_TIME] > 0.0:
-                self._rows.append(row)
+        row[TR_TIME] = frame.timestamp - self._epoch
+        self._last = row
+        if row[TR_TIME] > 0.0:
+            self._rows.append(row)
 
     def _row(self, pose: Pose, received: float) -> Array:
         # As of its arrival, also when nobody had the time to look at it then.

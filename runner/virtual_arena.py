@@ -3,7 +3,8 @@
 ``python -m crazyarena.runner.virtual_arena CONFIG`` with a JSON object: level_file (path), seed,
 vehicle, port, endpoint, cameras (fields of CameraModel), battery (times the usual capacity).
 Prints one line of JSON with ``uri``
-once it runs, and on SIGTERM one with how it kept up, then ends.
+once it runs, and on SIGTERM one with how it kept up, then ends; also 20 s after its standard input
+was closed.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from types import TracebackType
@@ -32,6 +34,7 @@ from crazyarena.runner.realtime import lower_priority, raise_priority
 from crazyarena.types import Pose
 
 _START_TIMEOUT = 300.0  # s; the first run compiles
+_AFTER_RUNNER = 20.0  # s
 
 
 def _serve(config: dict[str, Any]) -> None:
@@ -91,6 +94,14 @@ def _serve(config: dict[str, Any]) -> None:
     )
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: server.stop())
+
+    def outlive_the_runner() -> None:
+        """For as long as it takes to land a vehicle whose runner was killed."""
+        os.read(0, 1)  # returns when nobody holds the other end any more
+        clock.sleep_until(clock.now() + _AFTER_RUNNER)
+        server.stop()
+
+    threading.Thread(target=outlive_the_runner, daemon=True).start()
     print(json.dumps({"uri": server.uris[0]}), flush=True)
     try:
         server.run()
@@ -152,7 +163,7 @@ class VirtualArena:
         self._errors = open(folder / "virtual_arena.log", "w+")  # noqa: SIM115 - closed by close()
         self._process = subprocess.Popen(
             [sys.executable, "-m", "crazyarena.runner.virtual_arena", json.dumps(config)],
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,
             text=True,
@@ -202,8 +213,9 @@ class VirtualArena:
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
-        if self._process.stdout is not None:
-            self._process.stdout.close()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
         self._errors.close()
 
 

@@ -1,11 +1,21 @@
 """The bench: cflib over UDP, cameras over zenoh, real time. Long, and in need of two CPUs."""
 
 import json
+import signal
+import time
 
 import pytest
 
 from crazyarena.runner.compare import compare
-from tests.runner.flying import CIRCLE, EMPTY, crazyarena, sets
+from tests.runner.flying import (
+    CIRCLE,
+    EMPTY,
+    FLIGHT_PROCESS,
+    child_of,
+    crazyarena,
+    is_alive,
+    sets,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -28,3 +38,33 @@ def test_a_slow_controller_is_as_slow_in_the_dry_run(tmp_path):
     compared = compare([out / "dry_00"], [out / "bench_00"])
     assert compared.distance.mean() <= 0.05
     assert compared.distance.max() <= 0.10
+
+
+def test_a_killed_bench_leaves_no_process(tmp_path):
+    entry = tmp_path / "entry.py"
+    entry.write_text(CIRCLE.format(think=0.0))
+    out = tmp_path / "out"
+    process = crazyarena("bench", entry, "--out", out, "--no-dry", *sets(EMPTY))
+    part = out / "bench_00" / "episode_000.mcap.part"
+    deadline = time.monotonic() + 120.0
+    while not (part.exists() and part.stat().st_size > 20_000):
+        assert time.monotonic() < deadline, "it never flew"
+        assert process.poll() is None, process.communicate()[0]
+        time.sleep(0.3)
+    children = [
+        child_of(process.pid, module)
+        for module in (
+            FLIGHT_PROCESS,
+            "crazyarena.runner.virtual_arena",
+            "crazyarena.runner.sandbox.child",
+        )
+    ]
+    process.send_signal(signal.SIGKILL)
+    printed, _ = process.communicate(timeout=60.0)
+    assert "the vehicle is down" in printed
+    deadline = time.monotonic() + 60.0
+    while any(child is not None and is_alive(child) for child in children):
+        assert time.monotonic() < deadline, children
+        time.sleep(0.5)
+    assert children[0] is not None
+    assert children[1] is not None
