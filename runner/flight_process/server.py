@@ -25,7 +25,7 @@ from crazyarena.errors import CrazyarenaError
 from crazyarena.runner.flight_process import wire
 from crazyarena.runner.flight_process.channel import PatientSender, Receiver
 from crazyarena.runner.hardware import Hardware, HardwareSetup, connect
-from crazyarena.runner.realtime import PROMPT, lock_memory, raise_priority
+from crazyarena.runner.realtime import lock_memory, raise_priority
 from crazyarena.runner.stops import StopOptions
 from crazyarena.safety.events import Action
 from crazyarena.sim_backend.firmware.supervisor import INFO_FLYING
@@ -225,8 +225,6 @@ def main(descriptor: int) -> None:
         return
     notes.append(f"watchdog {hardware.safeguard.watchdog.priority}")
     server = FlightServer(setup, hardware, receiver, sender)
-    if setup.real_time:
-        raise_priority(inherit=True, priority=PROMPT)
     signal.signal(signal.SIGTERM, lambda *_: server.terminate())
     gc.collect()
     gc.freeze()
