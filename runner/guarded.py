@@ -230,9 +230,10 @@ class GuardedFleet:
                 stepped = now
                 watchdog.step()
 
-        for time in np.arange(start - _LEAD, start, _WATCH_PERIOD).tolist():
-            self._time.early = time
-            advance(time)
+        # Up to and with the beginning: an exposure that is due already would not stop the clock.
+        for left in range(round(_LEAD / _WATCH_PERIOD), -1, -1):
+            self._time.early = start - left * _WATCH_PERIOD
+            advance(self._time.early)
         self._time.early = None
         undo.callback(pipeline.close)
         undo.callback(clock.stop_at(lambda: cameras.next_event))

@@ -424,7 +424,14 @@ def test_takeover_ends_the_script_with_the_vehicle_landed(tmp_path):
     assert "cf1: landed at (-1.0" in done.stderr
 
 
-@pytest.mark.parametrize("name", ["hover", "circle", "figure8", "gates", "swap"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "circle",
+        "swap",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("hover", "figure8", "gates")),
+    ],
+)
 def test_examples_raise_no_alarm(name):
     flags = ["--sim", "--vis", "null", "--guard", "level0"]
     done = subprocess.run(
