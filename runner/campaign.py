@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from crazyarena.clock import VirtualClock
+from crazyarena.clock import Clock, VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import CommandError, InputError
 from crazyarena.levels import Level, load_level
@@ -154,7 +154,7 @@ class FaultyCameras:
     the way of every frame.
     """
 
-    def __init__(self, source: SimSource, clock: VirtualClock) -> None:
+    def __init__(self, source: SimSource, clock: Clock) -> None:
         self._source = source
         self._clock = clock
         self.spoil: Callable[[PoseFrame], PoseFrame | None] | None = None

@@ -22,6 +22,7 @@ _REALTIME = (
     "runner/test_mocap_commands.py",
     "runner/test_preflight.py",
     "runner/test_stops.py",
+    "runner/test_stops_in_flight.py",
     "safety/test_estop.py",
     "safety/test_estop_over_udp.py",
     "safety/test_watchdog.py",
