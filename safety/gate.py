@@ -25,7 +25,8 @@ from crazyarena.errors import CommandError, InputError
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.observation import Point
+from crazyarena.safety.link_loss import LinkLoss
+from crazyarena.safety.observation import Point, as_point
 from crazyarena.types import Pose, Telemetry, VehicleState
 
 _STOPPING = (c.Emergency, c.CutMotors, c.Stop)
@@ -50,6 +51,8 @@ _PARAMETERS_IN_FLIGHT = (
 )
 _NEVER_BY_RUNNER = ("motorPowerSet.", "system.", "health.", "powerDist.idleThrust")
 _TELEMETRY_GOOD = 0.3  # s, up to which the vehicle's own estimate is carried on
+_VELOCITY_HORIZON = 0.5  # s of a velocity setpoint that have to end inside the fence
+_OUT_IF_LOST = "it would carry the vehicle out of the fence if the link were lost now"
 _MEMORY = 0.5  # s after which the last setpoint no longer bounds the next
 
 Listener = Callable[[c.Command, c.Command | None, str, int | None], None]
@@ -112,6 +115,7 @@ class CommandGate:
         self._fence = fence
         self._clock = clock
         self.limits = limits or Limits()
+        self._link_loss = LinkLoss(fence, self.limits)
         self._policy = policy
         self._state = state or (lambda vehicle: None)
         self._on_command = on_command
@@ -305,12 +309,12 @@ class CommandGate:
             memory.setpoint_time = now
             memory.is_reference = isinstance(fitted, c.FullState)
             if isinstance(fitted, c.FullState | c.Position):
-                memory.setpoint = _triple(fitted.position)
+                memory.setpoint = as_point(fitted.position)
             else:
                 memory.setpoint = None
             memory.velocity = (0.0, 0.0, 0.0)
             if isinstance(fitted, c.FullState):
-                memory.velocity = _triple(fitted.velocity)
+                memory.velocity = as_point(fitted.velocity)
         elif isinstance(fitted, c.NotifySetpointsStop | c.Land | c.Takeoff | c.GoTo):
             memory.streaming = False
         return fitted, "; ".join(reasons)
@@ -327,7 +331,7 @@ class CommandGate:
 
     def _where(self, vehicle: int) -> Point | None:
         state = self._state(vehicle)
-        return None if state is None else _triple(state.position)
+        return None if state is None else as_point(state.position)
 
     def _inside(self, point: Point, vehicle: int, reasons: list[str], what: str) -> Point:
         margin = self._fence.soft_margin
@@ -356,12 +360,19 @@ class CommandGate:
         share = limit / size
         return velocity[0] * share, velocity[1] * share, velocity[2] * share
 
-    def _near_fence(
-        self, place: Point, velocity: Point, horizon: float, reasons: list[str]
-    ) -> Point:
-        """Slow a velocity down so far that ``horizon`` s of it end inside the fence."""
-        if horizon <= 0.0 or math.hypot(*velocity) < 1e-9:
+    def _near_fence(self, place: Point, velocity: Point, reasons: list[str]) -> Point:
+        """Slow a velocity setpoint that leads out of the fence, or would if it were the last."""
+        if self._link_loss.on:
+            allowed = self._link_loss.velocity(place, velocity)
+            if allowed is not None:
+                reasons.append(
+                    f"velocity {_text(velocity)} m/s would lead out of the fence if the link were "
+                    "lost now"
+                )
+                velocity = allowed
+        if math.hypot(*velocity) < 1e-9:
             return velocity
+        horizon = _VELOCITY_HORIZON
 
         def room_after(share: float) -> float:
             ahead = [p + share * horizon * v for p, v in zip(place, velocity, strict=True)]
@@ -397,37 +408,51 @@ class CommandGate:
     def _full_state(self, m: c.FullState, vehicle: int, now: float) -> tuple[c.Command, list[str]]:
         n = self.limits
         reasons: list[str] = []
-        asked = _triple(m.position)
+        asked = as_point(m.position)
         place = self._inside(asked, vehicle, reasons, "position")
         place = self._reachable(place, vehicle, now, reasons)
-        velocity = self._slowed(_triple(m.velocity), reasons, "speed", n.setpoint_speed)
-        velocity = self._near_fence(place, velocity, n.link_loss_time, reasons)
+        velocity = self._slowed(as_point(m.velocity), reasons, "speed", n.setpoint_speed)
         acceleration = self._slowed(
-            _triple(m.acceleration), reasons, "acceleration", n.setpoint_acceleration
+            as_point(m.acceleration), reasons, "acceleration", n.setpoint_acceleration
         )
         if place != asked:
             # A setpoint held back must not go on pushing outwards.
             velocity, acceleration = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        omega = self._slowed(_triple(m.omega), reasons, "body rate", 30.0)
+        state = self._state(vehicle)
+        if state is not None and self._link_loss.on:
+            slower = self._link_loss.feedforward(
+                as_point(state.position), as_point(state.velocity), place, velocity, acceleration
+            )
+            if slower is not None:
+                reasons.append(_OUT_IF_LOST)
+                velocity = slower
+        omega = self._slowed(as_point(m.omega), reasons, "body rate", 30.0)
         if not reasons:
             return m, reasons
         return c.FullState(place, velocity, acceleration, float(m.yaw), omega), reasons
 
     def _position(self, m: c.Position, vehicle: int, now: float) -> tuple[c.Command, list[str]]:
         reasons: list[str] = []
-        place = self._inside(_triple(m.position), vehicle, reasons, "position")
+        place = self._inside(as_point(m.position), vehicle, reasons, "position")
         place = self._reachable(place, vehicle, now, reasons)
+        state = self._state(vehicle)
+        if state is not None and self._link_loss.on:
+            nearer = self._link_loss.position(
+                as_point(state.position), as_point(state.velocity), place
+            )
+            if nearer is not None:
+                reasons.append(_OUT_IF_LOST)
+                place = nearer
         return (replace(m, position=place) if reasons else m), reasons
 
     def _velocity(
         self, m: c.VelocityWorld, vehicle: int, now: float
     ) -> tuple[c.Command, list[str]]:
         reasons: list[str] = []
-        velocity = self._slowed(_triple(m.velocity), reasons, "speed", self.limits.setpoint_speed)
+        velocity = self._slowed(as_point(m.velocity), reasons, "speed", self.limits.setpoint_speed)
         where = self._where(vehicle)
         if where is not None:
-            horizon = max(self.limits.link_loss_time, 0.5)
-            velocity = self._near_fence(where, velocity, horizon, reasons)
+            velocity = self._near_fence(where, velocity, reasons)
         return (replace(m, velocity=velocity) if reasons else m), reasons
 
     def _hover(self, m: c.Hover, vehicle: int, now: float) -> tuple[c.Command, list[str]]:
@@ -437,12 +462,11 @@ class CommandGate:
         height = float(m.height)
         state = self._state(vehicle)
         if state is not None:
-            x, y, z = _triple(state.position)
+            x, y, z = as_point(state.position)
             yaw = _yaw(state.quaternion)
             cos, sin = math.cos(yaw), math.sin(yaw)
             world = (cos * velocity[0] - sin * velocity[1], sin * velocity[0] + cos * velocity[1])
-            horizon = max(self.limits.link_loss_time, 0.5)
-            wx, wy, _ = self._near_fence((x, y, z), (*world, 0.0), horizon, reasons)
+            wx, wy, _ = self._near_fence((x, y, z), (*world, 0.0), reasons)
             velocity = (cos * wx + sin * wy, cos * wy - sin * wx, 0.0)
             height = self._inside((x, y, height), vehicle, reasons, "height at")[2]
         else:
@@ -488,7 +512,7 @@ class CommandGate:
     def _go_to(self, m: c.GoTo, vehicle: int, now: float) -> tuple[c.Command, list[str]]:
         reasons: list[str] = []
         where = self._where(vehicle)
-        goal = _triple(m.position)
+        goal = as_point(m.position)
         if m.relative:
             if where is None:
                 raise Refused(
@@ -503,6 +527,16 @@ class CommandGate:
             goal = self._inside(goal, vehicle, reasons, "goal")
             distance = 0.0 if where is None else math.dist(goal, where)
         duration = self._duration(distance, float(m.duration), reasons)
+        state = self._state(vehicle)
+        if state is not None and self._link_loss.on:
+            place, moving = as_point(state.position), as_point(state.velocity)
+            end = as_point(state.position + np.array(goal)) if m.relative else goal
+            longer = self._link_loss.duration(place, moving, end, duration)
+            if longer > duration:
+                reasons.append(
+                    f"cut on the way it would leave the fence in less than {longer:.2f} s"
+                )
+                duration = longer
         return (replace(m, position=goal, duration=duration) if reasons else m), reasons
 
     def _duration(self, distance: float, duration: float, reasons: list[str]) -> float:
@@ -530,7 +564,10 @@ class CommandGate:
                 f"cf{vehicle}: startTrajectory: trajectory {m.trajectory_id} was not uploaded "
                 "through this gate, so it cannot be checked"
             )
-        places, speed, acceleration = _along(pieces, float(m.timescale))
+        places, velocities, acceleration = _along(pieces, float(m.timescale))
+        speed = float(np.linalg.norm(velocities, axis=1).max())
+        if m.reverse:
+            velocities = -velocities
         if m.relative:
             where = self._where(vehicle)
             if where is None:
@@ -550,6 +587,16 @@ class CommandGate:
                 )
         if worst < 0.0:
             raise Refused(f"cf{vehicle}: startTrajectory: it leads {-worst:.2f} m out of the fence")
+        if self._link_loss.on:
+            lost = max(
+                self._link_loss.ballistic_excess(as_point(place), as_point(velocity))
+                for place, velocity in zip(places, velocities, strict=True)
+            )
+            if lost > self.limits.link_loss_margin:
+                raise Refused(
+                    f"cf{vehicle}: startTrajectory: cut on the way the vehicle would end "
+                    f"{lost:.2f} m outside the fence; use a larger timescale or keep away from it"
+                )
         self._vehicles[vehicle].streaming = False
         return m, []
 
@@ -639,11 +686,6 @@ def _who(vehicle: int | None) -> str:
     return "all vehicles" if vehicle is None else f"cf{vehicle}"
 
 
-def _triple(values: Any) -> Point:
-    x, y, z = values
-    return float(x), float(y), float(z)
-
-
 def _towards(origin: Point, point: Point, limit: float, what: str, reasons: list[str]) -> Point:
     """``point``, or the one ``limit`` m from ``origin`` on the way to it."""
     distance = math.dist(origin, point)
@@ -669,9 +711,9 @@ def _middle(fence: Fence) -> tuple[float, float]:
     return 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])
 
 
-def _along(pieces: np.ndarray, timescale: float) -> tuple[np.ndarray, float, float]:
-    """Places (k, 3) along a trajectory, its largest speed (m/s) and acceleration (m/s2)."""
-    places, speeds, accelerations = [], [], []
+def _along(pieces: np.ndarray, timescale: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Places (k, 3) m and velocities (k, 3) m/s along a trajectory, largest acceleration m/s2."""
+    places, velocities, accelerations = [], [], []
     powers = np.arange(8)
     for piece in pieces:
         t = np.linspace(0.0, piece[0], _SAMPLES_PER_PIECE)[:, None]
@@ -680,10 +722,10 @@ def _along(pieces: np.ndarray, timescale: float) -> tuple[np.ndarray, float, flo
         first = powers[1:] * t ** powers[:-1]
         second = powers[2:] * powers[1:-1] * t ** powers[:-2]
         places.append(basis @ axes.T)
-        speeds.append(np.linalg.norm(first @ axes[:, 1:].T, axis=1).max())
+        velocities.append(first @ axes[:, 1:].T)
         accelerations.append(np.linalg.norm(second @ axes[:, 2:].T, axis=1).max())
     return (
         np.concatenate(places),
-        float(max(speeds)) / timescale,
+        np.concatenate(velocities) / timescale,
         float(max(accelerations)) / timescale**2,
     )

@@ -53,9 +53,10 @@ class Limits:
     setpoint_tilt: rad, of attitude setpoints.
     allow_attitude: attitude setpoints are let through at all; no fence can clamp them.
     command_rate, command_burst: commands per second, and how many at once.
-    link_loss_time: s; setpoints towards the fence are slowed so far that it would take this
-        long to get there, because a vehicle that hears nothing more keeps its last setpoint.
-        0 for off: racing needs speed near walls, and run-off behind them.
+    link_loss_margin: m beyond the hard fence up to which a vehicle may come down that hears
+        nothing more after a setpoint; setpoints that would carry it further are held back. inf
+        lets them pass, for arenas with room behind the fence.
+    link_delay: s, from a pose to the setpoint that was checked with it taking effect.
     """
 
     braking: float = 6.0
@@ -110,15 +111,16 @@ class Limits:
     allow_attitude: bool = False
     command_rate: float = 200.0
     command_burst: float = 60.0
-    link_loss_time: float = 0.0
+    link_loss_margin: float = 0.05
+    link_delay: float = 0.05
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name == "allow_attitude":
                 continue
-            least = field.name == "link_loss_time"
-            if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not least):
+            endless = field.name == "link_loss_margin" and value == math.inf
+            if not (endless or (math.isfinite(value) and value > 0.0)):
                 raise InputError(f"safety limit {field.name}: found {value!r}; need a number > 0")
         self._ordered("pose_warn", "pose_hold", "pose_land", "pose_cut")
         self._ordered("link_warn", "link_hold", "link_cut")

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 GRAVITY = 9.81
 
 Point = tuple[float, float, float]
 NOWHERE: Point = (math.nan, math.nan, math.nan)
+
+
+def as_point(values: Any) -> Point:
+    """Three numbers, of an array or any other sequence, as plain floats."""
+    x, y, z = values
+    return float(x), float(y), float(z)
 
 
 @dataclass(slots=True)

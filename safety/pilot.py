@@ -8,13 +8,15 @@ ground, so that a wrong height does not keep the motors running.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from crazyarena.crazyswarm_compat.commands import Command, CutMotors, Emergency, FullState
 from crazyarena.errors import InputError
 from crazyarena.safety.events import Action
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.observation import Observation, Point
+from crazyarena.safety.link_loss import LinkLoss
+from crazyarena.safety.observation import Observation, Point, as_point
 
 _PERIOD = 0.0095  # s, at least, between setpoints: every frame of a 100 Hz camera system
 _EMERGENCY_REPEATS = 15
@@ -36,6 +38,7 @@ class SafePilot:
     def __init__(self, fence: Fence, limits: Limits, ground: float = 0.03) -> None:
         self._fence = fence
         self._limits = limits
+        self._link_loss = LinkLoss(fence, limits)
         self.ground = ground
         self._begun = -math.inf
         self._brake: tuple[Point, Point, float] | None = None
@@ -73,7 +76,21 @@ class SafePilot:
             self.reference = None
             self.landed = obs.time - self._stopping >= _STOP_TIME
             return [CutMotors()]
-        return [self._fly(action, obs)]
+        return [self._mindful(self._fly(action, obs), obs)]
+
+    def _mindful(self, setpoint: FullState, obs: Observation) -> FullState:
+        """The setpoint as it may be the last one to arrive."""
+        place = obs.flown_from(self._limits.disagreement)
+        if place is None or not self._link_loss.on:
+            return setpoint
+        slower = self._link_loss.feedforward(
+            place,
+            obs.velocity,
+            as_point(setpoint.position),
+            as_point(setpoint.velocity),
+            as_point(setpoint.acceleration),
+        )
+        return setpoint if slower is None else replace(setpoint, velocity=slower)
 
     def _begin(self, obs: Observation) -> None:
         self._begun = self._moved = obs.time

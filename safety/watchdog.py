@@ -30,7 +30,7 @@ from crazyarena.safety.gate import CommandGate
 from crazyarena.safety.guard import Guard
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import Finding
-from crazyarena.safety.observation import Observation, Point
+from crazyarena.safety.observation import Observation, Point, as_point
 from crazyarena.types import Pose, PoseFrame, Telemetry
 
 _TICK = 0.005  # s, without a frame
@@ -367,7 +367,7 @@ class Watchdog:
         if own is not None and now - own.timestamp > _TELEMETRY_GOOD:
             own = None
         if own is not None:
-            obs.onboard = _triple(own.position)
+            obs.onboard = as_point(own.position)
         if estimate is not None:
             state = estimate.state
         elif own is not None:
@@ -375,8 +375,8 @@ class Watchdog:
             obs.onboard = None
         else:
             return
-        obs.position = _triple(state.position)
-        obs.velocity = _triple(state.velocity)
+        obs.position = as_point(state.position)
+        obs.velocity = as_point(state.velocity)
         x, y, z, w = state.quaternion.tolist()
         obs.quaternion = (x, y, z, w)
 
@@ -460,8 +460,3 @@ def raise_priority() -> str:
 
 def _largest(*values: float | None) -> float | None:
     return max((value for value in values if value is not None), default=None)
-
-
-def _triple(values: object) -> Point:
-    x, y, z = values.tolist()  # type: ignore[attr-defined]
-    return x, y, z

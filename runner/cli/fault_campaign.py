@@ -31,9 +31,9 @@ def fault_campaign(
     margin: Annotated[
         float,
         typer.Option(
-            min=0.0, help="m beyond the hard fence allowed to motor, wind and link faults."
+            min=0.0, help="m beyond the hard fence allowed when a motor fails or wind blows."
         ),
-    ] = 2.0,
+    ] = 1.5,
     workers: Annotated[
         int | None,
         typer.Option(
@@ -54,7 +54,7 @@ def fault_campaign(
     In simulation, as fast as it goes, or with --udp over the virtual radio.
 
     Exit code: 0 when every flight ended landed or with motors cut, inside the hard fence plus
-    0.10 m (plus --margin where no software can help), 1 when not.
+    0.10 m (--margin where no software can help), 1 when not.
     """
     with bad_input_exits():
         from rich.console import Console

@@ -55,7 +55,7 @@ def state_at(position: Any, time: float = 0.0, velocity: Any = ZERO) -> VehicleS
 
 
 class Rig:
-    def __init__(self, where: Any = (0.0, 0.0, 1.0), **options: Any) -> None:
+    def __init__(self, where: Any = (0.0, 0.0, 1.0), velocity: Any = ZERO, **options: Any) -> None:
         self.clock = VirtualClock()
         self.sink = Sink()
         self.log: list[tuple[Any, Any, str, int | None]] = []
@@ -66,7 +66,9 @@ class Rig:
             fence(),
             self.clock,
             options.pop("limits", None),
-            state=lambda vehicle: None if self.where is None else state_at(self.where),
+            state=lambda vehicle: (
+                None if self.where is None else state_at(self.where, velocity=velocity)
+            ),
             on_command=lambda *args: self.log.append(args),
             on_event=self.events.append,
             **options,
@@ -239,7 +241,7 @@ def test_a_landing_takes_the_time_it_needs_and_ends_below_the_ceiling():
 def test_velocity_towards_a_wall_is_slowed():
     rig = Rig(where=(2.5, 0.0, 1.0))
     sent = rig.send(c.VelocityWorld((2.0, 0.0, 0.0)))
-    assert 0.9 <= sent.velocity[0] <= 1.0
+    assert 0.3 <= sent.velocity[0] <= 0.4
     away = c.VelocityWorld((-2.0, 0.0, 0.0))
     assert rig.send(away) is away
 
@@ -251,11 +253,36 @@ def test_hover_is_slowed_and_its_height_clamped():
     assert sent.height == pytest.approx(1.95, abs=0.01)
 
 
-def test_link_loss_time_slows_setpoints_near_the_fence():
-    rig = Rig(where=(2.0, 0.0, 1.0), limits=Limits(link_loss_time=1.0))
-    sent = rig.send(full((2.0, 0.0, 1.0), (2.0, 0.0, 0.0)))
-    assert sent.velocity[0] == pytest.approx(1.0, abs=0.01)
-    assert Rig(where=(2, 0, 1)).send(full((2, 0, 1), (2, 0, 0))).velocity == (2, 0, 0)
+def test_setpoints_are_held_back_that_would_lead_out_if_they_were_the_last():
+    rig = Rig(where=(2.0, 0.0, 1.0), velocity=(2.0, 0.0, 0.0))
+    sent = rig.send(full((2.0, 0.0, 1.0), (2.0, 0.0, 0.0), (0.5, 0.0, 0.0)))
+    assert sent.position == (2.0, 0.0, 1.0)
+    assert sent.velocity[0] < 1.9
+    assert sent.velocity[1:] == pytest.approx((0.0, 0.0))
+    assert "link were lost" in rig.events[-1].detail
+    assert rig.send(c.Position((2.5, 0.0, 1.0))).position[0] < 2.5
+    plan = c.GoTo((2.9, 0.0, 1.0), 0.0, 1.5)
+    assert Rig(where=(1.0, 0.0, 1.0)).send(plan).duration > 1.6
+
+
+def test_far_from_the_fence_or_without_the_limit_no_setpoint_is_held_back():
+    command = full((1.0, 0.0, 1.0), (2.0, 0.0, 0.0))
+    assert Rig(where=(1.0, 0.0, 1.0), velocity=(2.0, 0.0, 0.0)).send(command) is command
+    rig = Rig(
+        where=(2.5, 0.0, 1.0),
+        velocity=(2.0, 0.0, 0.0),
+        limits=Limits(link_loss_margin=math.inf),
+    )
+    command = full((2.5, 0.0, 1.0), (2.0, 0.0, 0.0))
+    assert rig.send(command) is command
+    assert rig.send(c.VelocityWorld((0.9, 0.0, 0.0))).velocity == (0.9, 0.0, 0.0)
+
+
+def test_a_trajectory_is_refused_on_which_a_cut_would_lead_out():
+    rig = Rig(where=(2.0, 0.0, 1.0))
+    rig.send(c.UploadTrajectory(1, 0, piece(1.2, 0.95)))
+    assert "cut on the way" in rig.refused(c.StartTrajectory(1))
+    rig.send(c.StartTrajectory(1, timescale=3.0))
 
 
 def test_attitude_is_refused_unless_allowed_and_then_bounded():
