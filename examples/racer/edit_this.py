@@ -103,7 +103,9 @@ class Controller:
             normal = -normal
         if time >= self.path.knot_time(self.path.gate_knots[gate]) - 0.05:
             return
-        self.path = self.path.rerouted(time, gate, Gate(np.array([x, y, z]), normal), REROUTE_LIMIT)
+        self.path = self.path.rerouted(
+            time, gate, Gate(np.array([x, y, z]), normal), REROUTE_LIMIT, self.limits, ARENA
+        )
 
     def _correct(self, error):
         """Stiffen the vehicle's own position loop a little and integrate what stays.

@@ -36,6 +36,10 @@ class Limits:
 
     acceleration: float = 4.0
     braking: float = 2.0  # on the way to rest at the goal, which may be close to a wall
+    # A vehicle that loses its radio link keeps the last setpoint for half a second and then
+    # coasts: it comes down at p + coasting v + coasting_push a, and that should be inside, too.
+    coasting: float = 0.6  # s
+    coasting_push: float = 0.1  # s2
     speed: float = 2.5
     gate_speed: float = 1.6
     clearance: float = 0.14  # from the vehicle's centre to any surface
@@ -194,11 +198,28 @@ class Path:
         second /= self.duration[pieces, None, None] ** 2
         return float(np.sqrt((second**2).sum(-1)).max())
 
-    def rerouted(self, now: float, gate_index: int, gate: Gate, limit: float) -> Path:
+    def beyond(self, pieces: slice, limits: Limits, bounds: tuple[np.ndarray, np.ndarray]) -> float:
+        """How far out of ``bounds``, m, a lost link on some of the pieces would end, sampled."""
+        c, t = self._coefficients[pieces], self.duration[pieces, None, None]
+        points, first, second = (
+            np.einsum("mk,skd->smd", _BASES[order], c) / t**order for order in range(3)
+        )
+        lost = (points + limits.coasting * first + limits.coasting_push * second)[..., :2]
+        return float(max((bounds[0][:2] - lost).max(), (lost - bounds[1][:2]).max()))
+
+    def rerouted(
+        self,
+        now: float,
+        gate_index: int,
+        gate: Gate,
+        limit: float,
+        limits: Limits,
+        bounds: tuple[np.ndarray, np.ndarray],
+    ) -> Path:
         """The path from its state at ``now`` on, through a gate that turned out to be elsewhere.
 
         The pieces to and from the gate are rebuilt; if the detour would need more than
-        ``limit`` m/s2, both are given more time.
+        ``limit`` m/s2 or swing too far out, both are given more time.
         """
         knot = self.gate_knots[gate_index]
         p, v, a, _ = self.at(now)
@@ -217,7 +238,11 @@ class Path:
             duration[0] = max(0.2, remaining[0]) * stretch
             duration[1] *= 0.5 + 0.5 * stretch
             path = Path(position, velocity, acceleration, duration, knots, now)
-            if path.peak_acceleration(slice(0, 2)) <= limit:
+            detour = slice(0, 2)
+            if (
+                path.peak_acceleration(detour) <= limit
+                and path.beyond(detour, limits, bounds) <= 0.0
+            ):
                 break
         return path
 
@@ -292,6 +317,13 @@ def fly_through(
         outside = np.minimum(points - low, 0.0) + np.maximum(points - high, 0.0)
         leaving = 3000.0 * (outside**2).sum(-1)
         g_points += 6000.0 * outside
+        lost = points + limits.coasting * first + limits.coasting_push * second
+        beyond = np.minimum(lost - bounds[0], 0.0) + np.maximum(lost - bounds[1], 0.0)
+        beyond[..., 2] = 0.0
+        leaving += 300.0 * (beyond**2).sum(-1)
+        g_points += 600.0 * beyond
+        g_first += 600.0 * limits.coasting * beyond
+        g_second += 600.0 * limits.coasting_push * beyond
 
         density = 1.0 + (speed + effort + jolt + crash + leaving).mean(axis=1)
         share = length / SAMPLES
