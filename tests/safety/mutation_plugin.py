@@ -1,7 +1,8 @@
 """Pytest plugin that takes one safeguard out, named by the environment.
 
 ``SAFETY_MUTATION`` is ``rule:<name>`` for a monitor, ``gate:<command>`` for a check of the
-command gate, or ``pilot`` for a pilot that does nothing.
+command gate, ``link_loss`` for its look at what would be if the link were lost, or ``pilot`` for
+a pilot that does nothing.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import os
 from typing import Any
 
 from crazyarena.safety import gate, guard
+from crazyarena.safety.link_loss import LinkLoss
 from crazyarena.safety.pilot import SafePilot
 
 
@@ -31,5 +33,7 @@ def pytest_configure(config: Any) -> None:
         for command in list(gate._FITTERS):
             if command.__name__ == name:
                 del gate._FITTERS[command]
+    elif kind == "link_loss":
+        LinkLoss.on = False  # type: ignore[method-assign,assignment]
     elif kind == "pilot":
         SafePilot.update = lambda self, action, obs: []  # type: ignore[method-assign]
