@@ -118,9 +118,10 @@ class Stage:
 
     def tip(self, vehicle: int, angle: float) -> None:
         """Take a vehicle (by index) in hand and tip it."""
-        self.swarm.wanted = angle
-        self._hand.weights = {vehicle: self.fleet.plants[vehicle, 0] * GRAVITY}
-        self.swarm.hand = vehicle
+        with self.server._lock:
+            self.swarm.wanted = angle
+            self._hand.weights = {vehicle: self.fleet.plants[vehicle, 0] * GRAVITY}
+            self.swarm.hand = vehicle
 
     def put_down(self) -> None:
         """Upright again, and back where it stood."""
@@ -128,8 +129,9 @@ class Stage:
         deadline = time.monotonic() + 10.0
         while self.swarm.angle > 1e-3 and time.monotonic() < deadline:
             threading.Event().wait(0.05)
-        index = self.swarm.hand
-        self.swarm.hand = None
-        self._hand.weights = {}
-        x, y, _ = self.fleet.true_pose(index).position
-        self.fleet.place(index, (x, y, 0.0))
+        with self.server._lock:
+            index = self.swarm.hand
+            self.swarm.hand = None
+            self._hand.weights = {}
+            x, y, _ = self.fleet.true_pose(index).position
+            self.fleet.place(index, (x, y, 0.0))
