@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import pickle
+import select
 import signal
 import socket
 import stat
@@ -321,9 +322,11 @@ class Sandboxed:
             status = os.fstatvfs(self._files)
             limit = self._box.count + self._limits.files
             return quota.words(0, status.f_files - status.f_ffree, 0, limit)
-        if self._quota is not None and self._quota.poll() == quota.EXCEEDED:
-            assert self._quota.stdout is not None
-            return self._quota.stdout.read().strip()
+        if self._quota is not None and self._quota.stdout is not None:
+            # It speaks before it ends anybody.
+            said, _, _ = select.select([self._quota.stdout], [], [], 0.0)
+            if said:
+                return self._quota.stdout.readline().strip() or "nobody watches its disk any more"
         return None
 
     def _request(self, verb: str, payload: object, timeout: float, what: str) -> None:
@@ -379,14 +382,10 @@ class Sandboxed:
 
     def _obituary(self, otherwise: str) -> str:
         assert self._process is not None
-        if self._quota is not None:
-            # If that is what ended it, it is about to say so.
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._quota.wait(timeout=0.1)
-            excess = self._excess()
-            if excess is not None:
-                self.kill()
-                return excess
+        excess = self._excess()
+        if excess is not None:
+            self.kill()
+            return excess
         try:
             code = self._process.wait(timeout=0.5)
         except subprocess.TimeoutExpired:

@@ -52,12 +52,12 @@ class Overheard(Sandboxed):
         super().ask(question)
 
 
-def fly(file, out=None, compute="free", misses=45):
+def fly(file, out=None, compute="free"):
     """Fly a submission in a sandbox; returns the episode and what it printed."""
     contender = Overheard(file, LIMITS)
     try:
         # A busy machine must not turn a slow answer into a missing one.
-        deadlines = Deadlines(max_misses=misses, compute=parse_compute(compute))
+        deadlines = Deadlines(max_misses=45, compute=parse_compute(compute))
         world = PathWorld(lambda t: PLACE)
         trial = FlightTrial(LEVEL, contender, world, deadlines=deadlines, episodes=1, out=out)
         episode = trial.run().episodes[0]
@@ -158,10 +158,10 @@ def check_untouched(outside, entry):
     assert [f.name for f in entry.iterdir()] == ["pilot.py"]
 
 
-def check_fatal(tmp_path, outside, code, *reasons, misses=45):
+def check_fatal(tmp_path, outside, code, *reasons, compute="measured"):
     before = set(os.listdir(tempfile.gettempdir()))
     file = write(tmp_path / "entry", "print('so far so good', flush=True)\n        " + code)
-    episode, printed = fly(file, outside, "measured", misses)
+    episode, printed = fly(file, outside, compute)
     assert episode.termination in HARMED
     assert episode.error
     assert any(reason in episode.error for reason in reasons)
@@ -218,7 +218,7 @@ def kind(request, monkeypatch):
 def check_filler(tmp_path, outside, name):
     code, reasons = FILLERS[name]
     # Patience enough to see what ends it, on whatever machine.
-    check_fatal(tmp_path, outside, code, *reasons, misses=1800)
+    check_fatal(tmp_path, outside, code, *reasons, compute="free")
 
 
 @pytest.mark.parametrize("name", ["many_big_files"])
@@ -261,6 +261,20 @@ def test_what_is_in_force_is_said_and_the_copy_is_whole(tmp_path, kind):
     assert "copy is '1 2 3\\n'" in printed
     assert (folder / "data" / "deep" / "numbers.txt").read_text() == "1 2 3\n"
     assert sorted(p.name for p in (folder / "data" / "deep").iterdir()) == ["numbers.txt"]
+
+
+@pytest.mark.parametrize("kind", [KINDS[3]], indirect=True)
+def test_nobody_flies_on_when_the_watch_is_gone(tmp_path, good, kind):
+    contender = Sandboxed(good, LIMITS)
+    try:
+        contender._quota.kill()
+        contender._quota.wait()
+        trial = FlightTrial(LEVEL, contender, PathWorld(lambda t: PLACE), episodes=1)
+        episode = trial.run().episodes[0]
+    finally:
+        contender.close()
+    assert episode.termination == "CONTROLLER ERROR"
+    assert "nobody watches" in episode.error
 
 
 # What is denied
