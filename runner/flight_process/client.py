@@ -13,10 +13,10 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from crazyarena.clock import WallClock
 from crazyarena.crazyswarm_compat.commands import Command
 from crazyarena.errors import BackendError
 from crazyarena.levels.draw import Draw
@@ -69,6 +69,7 @@ class FlightProcess:
         self.lost: str | None = None
         self.notes: list[str] = []
         self._replies: dict[int, wire.Reply] = {}
+        self._clock = WallClock()
         self._number = READY
         self._told = -math.inf
         self._closed = self._ready = False
@@ -117,12 +118,12 @@ class FlightProcess:
         return self._await(number, timeout)
 
     def _await(self, number: int, timeout: float) -> Any:
-        end = time.monotonic() + timeout
+        end = self._clock.now() + timeout
         self.listen(0.0 if number in self._replies else timeout)
         while number not in self._replies:
             if self.lost is not None:
                 raise BackendError(self.lost)
-            left = end - time.monotonic()
+            left = end - self._clock.now()
             if left <= 0.0:
                 raise BackendError(f"the flight process did not answer within {timeout:g} s")
             self.listen(left)
@@ -136,8 +137,7 @@ class FlightProcess:
     def listen(self, timeout: float = 0.0) -> None:
         """Take in what has arrived, waiting up to ``timeout`` s for the first of it."""
         if self.lost is not None:
-            if timeout > 0.0:
-                time.sleep(timeout)
+            self._clock.sleep_until(self._clock.now() + timeout)
             return
         try:
             arrived = self._receiver.receive(timeout)
@@ -430,7 +430,7 @@ def connected(
     InputError: the link or the source is described wrongly.
     """
     body = body or f"cf{vehicle}"
-    origin = time.monotonic()
+    origin = WallClock().origin
     process = FlightProcess(
         HardwareSetup(level, uri, source, vehicle, body, origin, limits, real_time)
     )
