@@ -54,6 +54,7 @@ class Guard:
         if overriding and self._flies:
             # From the takeover on the vehicle should be where the pilot wants it.
             obs = replace(obs, setpoint=self.pilot.reference)
+        self.pilot.see(obs)
         findings = list(requests)
         for monitor in self._monitors:
             finding = monitor.update(obs, overriding)

@@ -24,6 +24,8 @@ _BELOW_GROUND = 0.3  # m, where the descent ends
 _TOUCHDOWN = 0.06  # m above where it stood: counts as down
 _STILL = 0.25  # m/s
 _REST_TIME = 0.3  # s of touching down until the motors are stopped
+_AGILITY = 25.0  # m/s2, more than a vehicle has
+_BRIDGE = 0.2  # s without a position, after which any velocity is believed again
 _STOP_TIME = 0.5  # s for which the stop is repeated
 
 
@@ -51,12 +53,31 @@ class SafePilot:
         self._touched: float | None = None
         self._stopping: float | None = None
         self._emergencies = 0
+        self._velocity: Point = (0.0, 0.0, 0.0)
+        self._seen = -math.inf
         self.reference: Point | None = None
         self.landed = False
+
+    def see(self, obs: Observation) -> None:
+        """Follow the vehicle's velocity no faster than it can change; for every observation.
+
+        Cameras that hang and catch up make an estimate explode for some frames, and what is
+        flown from such a velocity runs away.
+        """
+        if obs.position is None or obs.time <= self._seen:
+            return
+        change = math.dist(obs.velocity, self._velocity)
+        if not math.isfinite(change):
+            return
+        gap, self._seen = obs.time - self._seen, obs.time
+        share = 1.0 if gap > _BRIDGE or change <= _AGILITY * gap else _AGILITY * gap / change
+        x, y, z = (a + share * (b - a) for a, b in zip(self._velocity, obs.velocity, strict=True))
+        self._velocity = (x, y, z)
 
     def update(self, action: Action, obs: Observation) -> list[Command]:
         """Commands for now; ``reference`` is where the vehicle should be, ``landed`` is set when
         it is down and its motors are stopped."""
+        self.see(obs)
         if action is Action.CUT:
             self.reference = None
             if self._emergencies < _EMERGENCY_REPEATS:
@@ -85,7 +106,7 @@ class SafePilot:
             return setpoint
         slower = self._link_loss.feedforward(
             place,
-            obs.velocity,
+            self._velocity,
             as_point(setpoint.position),
             as_point(setpoint.velocity),
             as_point(setpoint.acceleration),
@@ -100,11 +121,10 @@ class SafePilot:
             # Nobody knows where it is: level it at the setpoint it had, and land from there.
             self._place = self._target = obs.setpoint or (0.0, 0.0, self.ground + 0.5)
             return
-        speed = math.hypot(*obs.velocity)
-        deceleration = self._limits.braking
-        time = speed / deceleration
-        (x, y, z), (vx, vy, vz) = position, obs.velocity
-        self._brake = (position, obs.velocity, time)
+        velocity = self._velocity
+        time = math.hypot(*velocity) / self._limits.braking
+        (x, y, z), (vx, vy, vz) = position, velocity
+        self._brake = (position, velocity, time)
         rest = (x + 0.5 * vx * time, y + 0.5 * vy * time, z + 0.5 * vz * time)
         rest = (rest[0], rest[1], max(rest[2], self.ground + 0.1))
         self._place = rest

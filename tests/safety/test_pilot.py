@@ -1,0 +1,60 @@
+"""What the watchdog flies once it has taken over, setpoint by setpoint."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from crazyarena.crazyswarm_compat.commands import FullState
+from crazyarena.safety.events import Action
+from crazyarena.safety.limits import Limits
+from crazyarena.safety.pilot import SafePilot
+from tests.safety.scenes import fence, flying
+
+
+def first_setpoint(pilot: SafePilot, time: float, **changes: object) -> FullState:
+    (command,) = pilot.update(Action.HOLD, flying(time, **changes))
+    assert isinstance(command, FullState)
+    return command
+
+
+def test_a_velocity_that_explodes_for_a_frame_is_not_flown():
+    """Cameras that hang and catch up: 1 m/s, then 6 m/s from one frame to the next."""
+    pilot = SafePilot(fence(), Limits())
+    for k in range(20):
+        pilot.see(flying(0.01 * k, velocity=(1.0, 0.0, 0.0)))
+    told = first_setpoint(pilot, 0.2, velocity=(6.0, 0.0, 0.0))
+    assert 0.9 < told.velocity[0] < 1.3
+    # The brake ends where a vehicle of that speed can stop, not metres away.
+    for k in range(1, 60):
+        pilot.update(Action.HOLD, flying(0.2 + 0.01 * k, velocity=(1.0, 0.0, 0.0)))
+    assert pilot.reference is not None
+    assert pilot.reference[0] < 0.15
+
+
+def test_real_braking_and_the_first_look_are_believed():
+    pilot = SafePilot(fence(), Limits())
+    assert first_setpoint(pilot, 5.0, velocity=(2.0, 0.0, 0.0)).velocity[0] == pytest.approx(2.0)
+    pilot = SafePilot(fence(), Limits())
+    for k in range(30):
+        pilot.see(flying(0.01 * k, velocity=(2.0 - 0.06 * k, 0.0, 0.0)))
+    told = first_setpoint(pilot, 0.3, velocity=(0.2, 0.0, 0.0))
+    assert told.velocity[0] == pytest.approx(0.2)
+
+
+def test_a_velocity_that_is_no_number_is_left_out():
+    pilot = SafePilot(fence(), Limits())
+    pilot.see(flying(0.0, velocity=(0.5, 0.0, 0.0)))
+    told = first_setpoint(pilot, 0.01, velocity=(math.nan, 0.0, 0.0))
+    assert told.velocity[0] == pytest.approx(0.5)
+
+
+def test_a_brake_setpoint_may_be_the_last_one_to_arrive():
+    """Close to the fence the pilot asks for less speed than its braking curve would have."""
+    pilot = SafePilot(fence(), Limits())
+    near = first_setpoint(pilot, 0.0, position=(2.9, 0.0, 1.0), velocity=(2.0, 0.0, 0.0))
+    assert near.velocity[0] < 1.7
+    free = SafePilot(fence(), Limits(link_loss_margin=math.inf))
+    told = first_setpoint(free, 0.0, position=(2.9, 0.0, 1.0), velocity=(2.0, 0.0, 0.0))
+    assert told.velocity[0] == pytest.approx(2.0)
