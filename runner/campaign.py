@@ -28,6 +28,7 @@ from crazyarena.mocap.forwarder import PoseForwarder
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.mocap.sim_source import SimSource
 from crazyarena.mocap.source import SourceState, SourceStatus
+from crazyarena.runner.excursion import Excursion
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.gate import CommandGate
@@ -58,7 +59,6 @@ _MISSION = 8.0  # s, then the contestant lands
 _LAND_TIME = 2.5  # s
 _PATIENCE = 12.0  # s after the mission: nothing may take longer to end
 _TELEMETRY_PERIOD = 0.02  # s
-_REST = 0.05  # m/s
 _RETRY = 0.03  # s, until an unanswered command is sent again
 _ANSWERED = (c.Takeoff, c.Land, c.GoTo, c.Stop, c.NotifySetpointsStop, c.SetParam, c.Arm)
 
@@ -327,7 +327,7 @@ class Flight:
         self.stall = 0.0
         self.gust = np.zeros(3)
         self.each: Callable[[float], None] | None = None
-        self.excursion = -math.inf
+        self._excursion = Excursion(self.fence)
 
     def _limits(self, limits: Limits) -> Limits:
         return limits if self.mellinger else replace(limits, braking=PID_BRAKING)
@@ -381,14 +381,12 @@ class Flight:
             if self.gust.any():
                 mass = self.fleet.plants[0, P_MASS]
                 self.fleet.bodies[0, B_VEL : B_VEL + 3] += self.gust / mass * _QUANTUM
-            x, y, z = self.position().tolist()
-            flown = flown or z > 0.3
-            self.excursion = max(self.excursion, -self.fence.clearance(x, y, z))
-            off = flown and not self.fleet.rows(0).motors.any()
-            off_since = (now if off_since is None else off_since) if off else None
             state = self.fleet.true_state(0)
-            resting = float(np.linalg.norm(state.velocity)) < _REST
-            if struck and off_since is not None and resting and now - off_since > 0.5:
+            flown = flown or state.position[2] > 0.3
+            off = flown and not self.fleet.rows(0).motors.any()
+            self._excursion.see(state, off)
+            off_since = (now if off_since is None else off_since) if off else None
+            if struck and self._excursion.lies and off_since is not None and now - off_since > 0.5:
                 break
             now += _QUANTUM
         return self._outcome(off_since, speed)
@@ -443,7 +441,7 @@ class Flight:
         return Outcome(
             self.fault,
             self.seed,
-            self.excursion,
+            self._excursion.worst,
             math.inf if off_since is None else max(0.0, off_since - self.onset),
             end,
             int(action),

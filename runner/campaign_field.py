@@ -29,12 +29,12 @@ from crazyarena.runner.campaign import (
     _LAND_TIME,
     _MISSION,
     _PATIENCE,
-    _REST,
     FAULTS,
     VEHICLE,
     FaultyCameras,
 )
 from crazyarena.runner.campaign_plan import Plan, draw_plan
+from crazyarena.runner.excursion import Excursion
 from crazyarena.runner.json_child import Message, Tell, converse
 from crazyarena.runner.realtime import raise_priority
 from crazyarena.safety.fence import Fence
@@ -168,7 +168,7 @@ class Field:
         self._over = False
         self._off_since: float | None = None
         self._speed = 0.0
-        self._excursion = -math.inf
+        self._excursion = Excursion(self.fence)
 
     def begin(self, start: float) -> None:
         """The take-off is at ``start`` s on the clock; any thread."""
@@ -200,13 +200,12 @@ class Field:
         if self.gust.any():
             push = self.gust / self.fleet.plants[0, P_MASS] * 1e-3 * _LOOK_MS
             self.fleet.bodies[0, B_VEL : B_VEL + 3] += push
-        x, y, z = state.position.tolist()
-        self._flown = self._flown or z > 0.3
-        self._excursion = max(self._excursion, -self.fence.clearance(x, y, z))
+        self._flown = self._flown or state.position[2] > 0.3
         off = self._flown and not self.fleet.rows(0).motors.any()
+        self._excursion.see(state, off)
         self._off_since = (now if self._off_since is None else self._off_since) if off else None
-        resting = float(np.linalg.norm(state.velocity)) < _REST
-        done = self._off_since is not None and resting and now - self._off_since > 0.5
+        lies = self._excursion.lies
+        done = self._off_since is not None and lies and now - self._off_since > 0.5
         patient = now < self._start + _MISSION + _LAND_TIME + _PATIENCE
         if (self._struck and done) or not patient:
             self._over = True
@@ -215,7 +214,7 @@ class Field:
     def _report(self) -> Message:
         since = self._off_since
         return {
-            "excursion": self._excursion,
+            "excursion": self._excursion.worst,
             "safe_after": None if since is None else max(0.0, since - self.onset),
             "locked": bool(self.fleet.supervisor_info(0) & (LOCKED | CRASHED)),
             "flown": self._flown,
