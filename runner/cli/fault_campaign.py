@@ -61,14 +61,18 @@ def fault_campaign(
         from rich.progress import Progress
 
         from crazyarena.errors import InputError
-        from crazyarena.runner import campaign, campaign_report, campaign_udp
+        from crazyarena.runner.campaign import report
+        from crazyarena.runner.campaign import run as virtual
+        from crazyarena.runner.campaign.faults import FAULTS
+        from crazyarena.runner.campaign.outcome import failures
+        from crazyarena.runner.campaign.udp import run as real
 
         console = Console()
         if not console.is_terminal:
             console = Console(width=120)
-        names = fault or list(campaign_udp.UDP_FAULTS if udp else campaign.FAULTS)
-        run = campaign_udp.run_campaign if udp else campaign.run_campaign
-        title = campaign_report.UDP if udp else campaign_report.SIMULATED
+        names = fault or list(real.UDP_FAULTS if udp else FAULTS)
+        run = real.run_campaign if udp else virtual.run_campaign
+        title = report.UDP if udp else report.SIMULATED
         workers = workers or (2 if udp else 1)
         out = out or Path("runs", "fault-campaign-udp" if udp else "fault-campaign")
         try:
@@ -78,10 +82,10 @@ def fault_campaign(
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task("flying", total=seeds * len(names))
             outcomes = run(names, seeds, level, workers, lambda outcome: progress.advance(task))
-        campaign_report.write_json(out / "campaign.json", outcomes, title)
-        campaign_report.save_figure(out / "campaign.png", outcomes, title)
-        console.print(campaign_report.table(outcomes, title))
-        failed = campaign.failures(outcomes, margin)
+        report.write_json(out / "campaign.json", outcomes, title)
+        report.save_figure(out / "campaign.png", outcomes, title)
+        console.print(report.table(outcomes, title))
+        failed = failures(outcomes, margin)
         safe = sum(outcome.safe for outcome in outcomes)
         console.print(f"{safe} of {len(outcomes)} flights ended in a safe state. Results in {out}")
         for outcome in failed:

@@ -1,9 +1,9 @@
 """The far side of a campaign flight over UDP: vehicle, radio and cameras, in a process of its own.
 
-``python -m crazyarena.runner.campaign_field`` talks as :mod:`.json_child` does. It is told
-``fault``, ``seed`` and ``level_file``, answers with ``uri`` and ``endpoint``, is told ``go``, the
-host's time of the take-off, and answers at the end with what truly happened. It serves until
-nobody speaks to it any more.
+``python -m crazyarena.runner.campaign.udp.field`` talks as :mod:`crazyarena.runner.json_child`
+does. It is told ``fault``, ``seed`` and ``level_file``, answers with ``uri`` and ``endpoint``, is
+told ``go``, the host's time of the take-off, and answers at the end with what truly happened. It
+serves until nobody speaks to it any more.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 import queue
 import socket
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -25,16 +25,12 @@ from crazyarena.mocap.camera_model import CameraModel
 from crazyarena.mocap.sim_source import SimSource
 from crazyarena.mocap.stamps import HostStamps
 from crazyarena.mocap.zenoh_link import ZenohPublisher
-from crazyarena.runner.campaign import (
-    _LAND_TIME,
-    _MISSION,
-    _PATIENCE,
-    FAULTS,
-    VEHICLE,
-    FaultyCameras,
-)
-from crazyarena.runner.campaign_plan import Plan, draw_plan
-from crazyarena.runner.excursion import Excursion
+from crazyarena.runner.campaign.cameras import FaultyCameras
+from crazyarena.runner.campaign.excursion import Excursion
+from crazyarena.runner.campaign.faults import FAULTS
+from crazyarena.runner.campaign.plan import Plan, draw_plan
+from crazyarena.runner.campaign.setting import LAND_TIME, MISSION, PATIENCE, VEHICLE
+from crazyarena.runner.campaign.udp.devices import LOOK_MS, ArenaCameras, FaultyRadio, Witness
 from crazyarena.runner.json_child import Message, Tell, converse
 from crazyarena.runner.realtime import raise_priority
 from crazyarena.safety.fence import Fence
@@ -43,12 +39,10 @@ from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.arena_world import SENSOR_NOISE
 from crazyarena.sim_backend.crtp.faults import Faults
 from crazyarena.sim_backend.crtp.server import VirtualServer
-from crazyarena.sim_backend.crtp.swarm import Send, VirtualSwarm
 from crazyarena.sim_backend.physics.competition_step import B_VEL, P_MASS
-from crazyarena.types import Pose
 
 if TYPE_CHECKING:
-    from crazyarena.runner.campaign import Flight
+    from crazyarena.runner.campaign.flight import Flight
 
 # What befalls cameras, radio and vehicle; the rest befalls the ground station.
 STRIKES = frozenset(
@@ -68,63 +62,7 @@ STRIKES = frozenset(
 )
 _RADIO = Faults(latency=0.006, jitter=0.003)  # one way
 _CAMERA_RATE = 100.0  # Hz
-_LOOK_MS = 4  # between looks at the vehicle
 _PORTS = 5  # tried, until one is free
-
-
-class ArenaCameras(FaultyCameras):
-    """Faulty cameras that are shown the world by whoever simulates it."""
-
-    def __init__(self, source: SimSource, clock: Clock) -> None:
-        super().__init__(source, clock)
-        self._pushed = source
-
-    @property
-    def next_exposure(self) -> float:
-        """Session time of the next exposure, s."""
-        return self._pushed.next_exposure
-
-    def expose(self, time: float, truth: Mapping[str, Pose]) -> None:
-        """Take one frame of the true poses at ``time``."""
-        self._pushed.expose(time, truth)
-
-
-class FaultyRadio:
-    """``loss`` and ``cut`` of a server's link, as the campaign's faults set them."""
-
-    def __init__(self, server: VirtualServer) -> None:
-        self._server = server
-
-    @property
-    def loss(self) -> float:
-        """Probability that a packet is lost, each way."""
-        return self._server.links[0].faults.loss
-
-    @loss.setter
-    def loss(self, share: float) -> None:
-        self._server.set_faults(loss=share)
-
-    @property
-    def cut(self) -> bool:
-        """Nothing passes while True."""
-        return self._server.links[0].faults.cut_until == math.inf
-
-    @cut.setter
-    def cut(self, cut: bool) -> None:
-        self._server.set_faults(cut_until=math.inf if cut else -math.inf)
-
-
-class Witness(VirtualSwarm):
-    """A swarm that lets ``look()`` see the vehicle every few milliseconds of its time."""
-
-    look: Callable[[], None]
-
-    def advance(self, ticks: int, send: Send) -> None:
-        while ticks > 0:
-            piece = min(ticks, _LOOK_MS)
-            super().advance(piece, send)
-            self.look()
-            ticks -= piece
 
 
 class Field:
@@ -198,7 +136,7 @@ class Field:
         if self._struck and self.each is not None:
             self.each(now - self.onset)
         if self.gust.any():
-            push = self.gust / self.fleet.plants[0, P_MASS] * 1e-3 * _LOOK_MS
+            push = self.gust / self.fleet.plants[0, P_MASS] * 1e-3 * LOOK_MS
             self.fleet.bodies[0, B_VEL : B_VEL + 3] += push
         self._flown = self._flown or state.position[2] > 0.3
         off = self._flown and not self.fleet.rows(0).motors.any()
@@ -206,7 +144,7 @@ class Field:
         self._off_since = (now if self._off_since is None else self._off_since) if off else None
         lies = self._excursion.lies
         done = self._off_since is not None and lies and now - self._off_since > 0.5
-        patient = now < self._start + _MISSION + _LAND_TIME + _PATIENCE
+        patient = now < self._start + MISSION + LAND_TIME + PATIENCE
         if (self._struck and done) or not patient:
             self._over = True
             self._on_end(self._report())

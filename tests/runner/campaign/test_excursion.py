@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crazyarena.runner.excursion import Excursion
+from crazyarena.runner.campaign.excursion import Excursion
 from crazyarena.safety.fence import Fence
 from crazyarena.types import VehicleState
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from crazyarena.runner.campaign import _BOOT, _CLIMB, _ONSET, Circuit
+from crazyarena.runner.campaign.circuit import Circuit
+from crazyarena.runner.campaign.setting import BOOT, CLIMB, ONSET
 from crazyarena.sim_backend.physics.arena_plant import AP_STRENGTH, default_plant
 from crazyarena.sim_backend.physics.competition_step import P_MASS
 
@@ -45,7 +46,7 @@ def draw_plan(fault: str, seed: int) -> Plan:
     plant[AP_STRENGTH : AP_STRENGTH + 4] = [rng.uniform(0.95, 1.05) for _ in range(4)]
     mellinger = seed % 4 != 3
     speed = rng.uniform(0.8, 2.0) if mellinger else rng.uniform(0.3, 0.5)
-    climb = _CLIMB if mellinger else 2.0 * _CLIMB
+    climb = CLIMB if mellinger else 2.0 * CLIMB
     circuit = Circuit(start, rng, speed, climb)
-    onset = rng.uniform(*_ONSET) + climb - _CLIMB - _BOOT
+    onset = rng.uniform(*ONSET) + climb - CLIMB - BOOT
     return Plan(start, plant, mellinger, circuit, onset, rng)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import pytest
 
 from crazyarena.errors import InputError
-from crazyarena.runner import campaign_report
-from crazyarena.runner.campaign import FAULTS, failures, fly, run_campaign, summarise
+from crazyarena.runner.campaign.faults import FAULTS
+from crazyarena.runner.campaign.outcome import failures
+from crazyarena.runner.campaign.run import fly, run_campaign
 
 
 @pytest.mark.parametrize(
@@ -45,25 +45,6 @@ def test_same_seed_same_flight():
 def test_unknown_fault_is_refused():
     with pytest.raises(InputError, match="wall"):
         run_campaign(["meteor"], 1)
-
-
-def test_table_figure_and_file(tmp_path):
-    outcomes = run_campaign(["nan"], 2)
-    (row,) = summarise(outcomes)
-    assert (row["fault"], row["flights"], row["safe"]) == ("nan", 2, 2)
-    campaign_report.write_json(tmp_path / "c.json", outcomes)
-    document = json.loads((tmp_path / "c.json").read_text())
-    assert len(document["flights"]) == 2
-    assert document["flights"][0]["events"][0]["rule"]
-    campaign_report.save_figure(tmp_path / "c.png", outcomes)
-    assert (tmp_path / "c.png").stat().st_size > 1000
-    assert campaign_report.table(outcomes).row_count == 1
-    assert failures(outcomes, 1.0) == []
-    bad = outcomes[0]
-    bad.excursion = 0.2
-    assert failures(outcomes, 1.0) == [bad]
-    bad.excursion, bad.end = -0.2, "flying"
-    assert failures(outcomes, 1.0) == [bad]
 
 
 @pytest.mark.slow

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from rich.table import Table
 
-from crazyarena.runner.campaign import FAULTS, Outcome, summarise
+from crazyarena.runner.campaign.faults import FAULTS
+from crazyarena.runner.campaign.outcome import Outcome, summarise
 
 SIMULATED = "Fault campaign in simulation"
 UDP = "Fault campaign over the virtual radio, in real time"

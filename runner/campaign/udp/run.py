@@ -1,7 +1,7 @@
 """The fault campaign over the virtual radio: the stack of the arena, in real time.
 
-Of each flight: a process with vehicle, radio and cameras (:mod:`.campaign_field`), and the ground
-station (:mod:`.campaign_station`), which flies it as ``crazyarena fly`` does: with a flight process
+Of each flight: a process with vehicle, radio and cameras (:mod:`.udp.field`), and the ground
+station (:mod:`.udp.station`), which flies it as ``crazyarena fly`` does: with a flight process
 of its own, cflib, cameras over zenoh, watchdog thread and command gate. What became of the
 vehicle is told by the former, who knows.
 """
@@ -18,15 +18,12 @@ from tempfile import TemporaryDirectory
 from crazyarena.errors import BackendError, InputError
 from crazyarena.levels import dump_level, load_level
 from crazyarena.mocap.stamps import host_time
-from crazyarena.runner import campaign_field, campaign_station
-from crazyarena.runner.campaign import (
-    _LAND_TIME,
-    _MISSION,
-    _PATIENCE,
-    FAULTS,
-    Outcome,
-)
-from crazyarena.runner.campaign_plan import draw_plan
+from crazyarena.runner.campaign.faults import FAULTS
+from crazyarena.runner.campaign.outcome import Outcome
+from crazyarena.runner.campaign.plan import draw_plan
+from crazyarena.runner.campaign.setting import LAND_TIME, MISSION, PATIENCE
+from crazyarena.runner.campaign.udp import field as field_process
+from crazyarena.runner.campaign.udp import station as station_process
 from crazyarena.runner.json_child import JsonChild, Message
 from crazyarena.safety.events import Action, SafetyEvent
 
@@ -34,7 +31,7 @@ KILLED = "killed_process"
 UDP_FAULTS = tuple(
     name
     for name in FAULTS
-    if name == KILLED or name in campaign_field.STRIKES or name in campaign_station.STRIKES
+    if name == KILLED or name in field_process.STRIKES or name in station_process.STRIKES
 )
 _START_TIMEOUT = 300.0  # s; the first run compiles
 _LEAD = 0.3  # s, for word of the take-off to get around
@@ -59,8 +56,8 @@ def fly(fault: str, seed: int, level: str = "level0") -> Outcome:
         level_file.write_text(dump_level(load_level(level, empty)))
         config = {"fault": fault, "seed": seed, "level_file": str(level_file)}
         with (
-            JsonChild(campaign_field.__name__, config, folder / "field.log") as field,
-            JsonChild(campaign_station.__name__, config, folder / "station.log") as station,
+            JsonChild(field_process.__name__, config, folder / "field.log") as field,
+            JsonChild(station_process.__name__, config, folder / "station.log") as station,
         ):
             station.tell(field.take(_START_TIMEOUT))
             station.take(_START_TIMEOUT)
@@ -70,15 +67,18 @@ def fly(fault: str, seed: int, level: str = "level0") -> Outcome:
             if fault == KILLED:
                 time.sleep(max(0.0, start + plan.onset - host_time()))
                 station.kill()
-            report = field.take(_LEAD + _MISSION + _LAND_TIME + _PATIENCE + _GRACE)
+            report = field.take(_LEAD + MISSION + LAND_TIME + PATIENCE + _GRACE)
             told: list[Message] = []
             if fault != KILLED:
                 station.tell({"end": True})
                 told = station.take(_GRACE)["events"]
-    return _outcome(fault, seed, plan.onset, report, told)
+    return outcome_of(fault, seed, plan.onset, report, told)
 
 
-def _outcome(fault: str, seed: int, onset: float, report: Message, told: list[Message]) -> Outcome:
+def outcome_of(
+    fault: str, seed: int, onset: float, report: Message, told: list[Message]
+) -> Outcome:
+    """Put together what the field reports and the events the ground station told of."""
     events = [_event(event) for event in told]
     action = max((event.action for event in events), default=Action.NONE)
     taken = [event.rule for event in events if event.action.takes_over]

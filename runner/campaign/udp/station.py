@@ -1,10 +1,10 @@
 """The ground station of a campaign flight over UDP, in a process that can be killed.
 
-``python -m crazyarena.runner.campaign_station`` talks as :mod:`.json_child` does. It is told
-``fault``, ``seed`` and ``level_file``, then ``uri`` and ``endpoint`` once there is a vehicle. It
-connects as ``crazyarena fly`` does, with a flight process, makes the vehicle ready, answers
-``ready``, is told ``go``, the host's time of the take-off, and flies a contestant's circuit until
-it is told to end; then it tells what the watchdog has done.
+``python -m crazyarena.runner.campaign.udp.station`` talks as :mod:`crazyarena.runner.json_child`
+does. It is told ``fault``, ``seed`` and ``level_file``, then ``uri`` and ``endpoint`` once there is
+a vehicle. It connects as ``crazyarena fly`` does, with a flight process, makes the vehicle ready,
+answers ``ready``, is told ``go``, the host's time of the take-off, and flies a contestant's circuit
+until it is told to end; then it tells what the watchdog has done.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ from crazyarena.errors import CommandError
 from crazyarena.levels import Level, load_level
 from crazyarena.mocap.source import SourceSpec
 from crazyarena.mocap.stamps import HostStamps
-from crazyarena.runner.campaign import _LAND_TIME, _MISSION, _RATE, BODY, FAULTS, VEHICLE
-from crazyarena.runner.campaign_plan import Plan, draw_plan
+from crazyarena.runner.campaign.faults import FAULTS
+from crazyarena.runner.campaign.plan import Plan, draw_plan
+from crazyarena.runner.campaign.setting import BODY, LAND_TIME, MISSION, RATE, VEHICLE
 from crazyarena.runner.crew import Crew, Timeouts
 from crazyarena.runner.flight_process.client import connected
 from crazyarena.runner.json_child import Message, Tell, converse
@@ -39,7 +40,7 @@ from crazyarena.safety.events import SafetyEvent
 from crazyarena.safety.limits import PID_BRAKING, Limits
 
 if TYPE_CHECKING:
-    from crazyarena.runner.campaign import Flight
+    from crazyarena.runner.campaign.flight import Flight
 
 # What befalls the contestant and the control loop.
 STRIKES = frozenset(
@@ -115,7 +116,7 @@ class Station:
         self.onset = start + self._plan.onset
         self.clock.sleep_until(start)
         self._guard.begin()
-        scheduler = Scheduler(self.clock, _RATE)
+        scheduler = Scheduler(self.clock, RATE)
         while not ended.is_set():
             self._control(self.clock.now())
             if self.stall > 0.0:
@@ -133,11 +134,11 @@ class Station:
             self.each(now - self.onset)
         if self._landing or self._guard.verdict() is not None:
             return
-        if now >= self._start + _MISSION:
+        if now >= self._start + MISSION:
             self._landing = True
             if not self._guard.end():
                 self._send(c.NotifySetpointsStop())
-                self._send(c.Land(0.0, _LAND_TIME))
+                self._send(c.Land(0.0, LAND_TIME))
             return
         command = self.setpoint if self.contestant is None else self.contestant(now)
         if command is not None:
