@@ -22,6 +22,7 @@ class Plan:
 
     Attributes
     ----------
+    seed: what it was drawn with.
     start: (3,) m; plant: row of the vehicle.
     mellinger: which of the firmware's controllers flies.
     circuit: the contestant's flight.
@@ -29,6 +30,7 @@ class Plan:
     rng: what the fault itself draws from.
     """
 
+    seed: int
     start: Array
     plant: Array
     mellinger: bool
@@ -49,4 +51,4 @@ def draw_plan(fault: str, seed: int) -> Plan:
     climb = CLIMB if mellinger else 2.0 * CLIMB
     circuit = Circuit(start, rng, speed, climb)
     onset = rng.uniform(*ONSET) + climb - CLIMB - BOOT
-    return Plan(start, plant, mellinger, circuit, onset, rng)
+    return Plan(seed, start, plant, mellinger, circuit, onset, rng)

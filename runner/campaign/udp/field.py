@@ -49,6 +49,7 @@ STRIKES = frozenset(
     {
         "mocap_dropout",
         "mocap_freeze",
+        "mocap_hiccup",
         "mocap_jump",
         "latency_growth",
         "radio_loss",
@@ -84,6 +85,7 @@ class Field:
         radio: FaultyRadio,
         on_end: Callable[[Message], None],
     ) -> None:
+        self.seed = plan.seed
         self.rng = plan.rng
         self.fence = fence
         self.clock = clock
@@ -138,7 +140,7 @@ class Field:
         if self.gust.any():
             push = self.gust / self.fleet.plants[0, P_MASS] * 1e-3 * LOOK_MS
             self.fleet.bodies[0, B_VEL : B_VEL + 3] += push
-        self._flown = self._flown or state.position[2] > 0.3
+        self._flown = self._flown or bool(state.position[2] > 0.3)
         off = self._flown and not self.fleet.rows(0).motors.any()
         self._excursion.see(state, off)
         self._off_since = (now if self._off_since is None else self._off_since) if off else None
@@ -155,7 +157,6 @@ class Field:
             "excursion": self._excursion.worst,
             "safe_after": None if since is None else max(0.0, since - self.onset),
             "locked": bool(self.fleet.supervisor_info(0) & (LOCKED | CRASHED)),
-            "flown": self._flown,
             "speed": self._speed,
         }
 
