@@ -1,7 +1,7 @@
 """Keeps the runner's own ticks free of what would delay them.
 
-The collector is frozen and off, memory is locked (no page faults), and the control thread runs
-in front of ordinary ones; the last two as far as the system allows.
+The collector is frozen and off, memory is locked (no page faults), the control thread runs in
+front of ordinary ones, and processors stay awake; the last three as far as the system allows.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterator
 
 _CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4
+_DMA_LATENCY = "/dev/cpu_dma_latency"
 _SWITCH_INTERVAL = 0.0005  # s
 PRIORITY = 40  # below the watchdog's
 
@@ -58,6 +59,27 @@ def lower_priority() -> None:
 
 
 @contextlib.contextmanager
+def wide_awake() -> Iterator[str]:
+    """Keep processors from falling asleep inside the ``with`` block; yields what came of it.
+
+    Waking one up takes longer than anything we do in a tick, most of all in a virtual machine.
+    The kernel's quality-of-service interface holds as long as the file is open
+    (Documentation/power/pm_qos_interface).
+    """
+    with contextlib.ExitStack() as stack:
+        note = "processors stay awake"
+        try:
+            file = stack.enter_context(open(_DMA_LATENCY, "wb", buffering=0))
+            file.write(bytes(4))  # us, as int32: none at all
+        except OSError as error:
+            note = (
+                f"processors may fall asleep ({error.strerror}): waking them delays ticks. "
+                f"Allow it: make {_DMA_LATENCY} writable for this user"
+            )
+        yield note
+
+
+@contextlib.contextmanager
 def quiet_collector() -> Iterator[None]:
     """No garbage collection inside the ``with`` block, and cheap ones after it; other threads
     give way sooner."""
@@ -76,10 +98,14 @@ def quiet_collector() -> Iterator[None]:
 
 @contextlib.contextmanager
 def steady() -> Iterator[list[str]]:
-    """Lock memory and raise the priority inside the ``with`` block; yields what is in force."""
+    """Lock memory, raise the priority and keep processors awake inside the ``with`` block.
+
+    Yields what is in force.
+    """
     notes = [lock_memory(), raise_priority()]
     try:
-        yield notes
+        with wide_awake() as note:
+            yield [*notes, note]
     finally:
         lower_priority()
         unlock_memory()
