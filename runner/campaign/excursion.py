@@ -19,12 +19,14 @@ class Excursion:
 
     Attributes
     ----------
-    worst: m, furthest beyond the hard fence so far; negative: inside.
+    worst: m, furthest beyond the hard fence's walls and ceiling so far; negative: inside.
     lies: it lies on the ground with its motors off.
     """
 
     def __init__(self, fence: Fence) -> None:
         self._fence = fence
+        low, high = fence.bounds
+        self._middle = 0.5 * (low[2] + high[2])
         self.worst = -math.inf
         self.lies = False
 
@@ -42,4 +44,5 @@ class Excursion:
             self._reach(x + slide * vx, y + slide * vy, z)
 
     def _reach(self, x: float, y: float, z: float) -> None:
-        self.worst = max(self.worst, -self._fence.clearance(x, y, z))
+        # The ground is close to a box's bottom, and stops a vehicle by itself.
+        self.worst = max(self.worst, -self._fence.clearance(x, y, max(z, self._middle)))
