@@ -8,6 +8,9 @@ import numpy as np
 
 from crazyarena.types import Vector
 
+# Cosine of the middle angle below which the outer two turn about the same axis.
+_LOCKED = 1e-7
+
 
 def multiply(a: Vector, b: Vector) -> Vector:
     """Hamilton product: first b, then a."""
@@ -71,10 +74,10 @@ def angle_between(a: Vector, b: Vector) -> float:
 
 
 def euler_xyz(quaternion: Vector) -> tuple[float, float, float]:
-    """Angles a, b, c in rad with R = Rx(a) Ry(b) Rz(c)."""
+    """Angles a, b, c in rad with R = Rx(a) Ry(b) Rz(c); a is 0 where only a + c or a - c counts."""
     m = matrix_of(quaternion)
-    return (
-        math.atan2(-m[1, 2], m[2, 2]),
-        math.asin(min(1.0, max(-1.0, float(m[0, 2])))),
-        math.atan2(-m[0, 1], m[0, 0]),
-    )
+    level = math.hypot(m[1, 2], m[2, 2])
+    b = math.atan2(m[0, 2], level)
+    if level < _LOCKED:
+        return 0.0, b, math.atan2(m[1, 0], m[1, 1])
+    return math.atan2(-m[1, 2], m[2, 2]), b, math.atan2(-m[0, 1], m[0, 0])

@@ -52,6 +52,18 @@ def test_rotations_agree_with_each_other(a, b, v):
     assert angle_between(a, multiply(multiply(turns[0], turns[1]), turns[2])) < 1e-5  # fmt: skip
 
 
+@given(st.floats(-4, 4), st.sampled_from((-1.0, 1.0)), st.floats(0.0, 1e-5), st.floats(-4, 4))
+def test_angles_are_right_where_two_axes_become_one(a, side, short, c):
+    turns = (a, side * (np.pi / 2 - short), c)
+    rolls = [np.eye(4)[i] * np.sin(t / 2) + [0, 0, 0, np.cos(t / 2)] for i, t in enumerate(turns)]
+    wanted = multiply(multiply(rolls[0], rolls[1]), rolls[2])
+    again = [
+        np.eye(4)[i] * np.sin(t / 2) + [0, 0, 0, np.cos(t / 2)]
+        for i, t in enumerate(euler_xyz(wanted))
+    ]
+    assert angle_between(wanted, multiply(multiply(again[0], again[1]), again[2])) < 1e-6
+
+
 def test_y_up_worlds_stand_up():
     np.testing.assert_allclose(points_from_y_up(np.array([[1.0, 2.0, 3.0]])), [[1, -3, 2]])
     level = pose_from_y_up(Pose(np.array([1.0, 2.0, 3.0])))
