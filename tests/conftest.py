@@ -1,5 +1,6 @@
 """Settings of the whole suite."""
 
+import signal
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,11 @@ _REALTIME = (
     "sim_backend/crtp/test_ground_killed.py",
     "sim_backend/crtp/test_server.py",
 )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Begin with Python's own Ctrl-C: shells start what runs in the background without one."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
