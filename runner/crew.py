@@ -21,7 +21,7 @@ from crazyarena.levels.schema import Level
 from crazyarena.mocap.estimator import BodyEstimate, FrameResult, Freshness
 from crazyarena.mocap.survey import SurveyConfig, SurveyReport, survey
 from crazyarena.runner.rig import Rig
-from crazyarena.runner.tracked_world import TrackedWorld, roll_pitch_yaw
+from crazyarena.runner.tracked_world import TrackedWorld, heading_like, roll_pitch_yaw
 from crazyarena.safety.estop import Hold
 from crazyarena.sim_backend.arena_world import track_truth
 from crazyarena.sim_backend.firmware.supervisor import (
@@ -606,9 +606,8 @@ def preparations(place: VehicleState, controller: int = MELLINGER) -> list[cs.Se
 
 def _put(row: Array, pose: Pose) -> None:
     """Overwrite a nominal row with a measured pose; what has no front keeps its heading."""
-    turned = roll_pitch_yaw(pose.quaternion)[2] - row[5]
     row[:3] = pose.position
-    row[3:6] = (0.0, 0.0, row[5] + (turned + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
+    row[3:6] = (0.0, 0.0, heading_like(row[5], pose.quaternion))
 
 
 def _track_tolerance(level: Level) -> tuple[float, float]:

@@ -33,6 +33,7 @@ from crazyarena.mocap.camera_model import CameraModel
 from crazyarena.mocap.estimator import BodyEstimate, FrameResult, PoseEstimator
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.mocap.sim_source import SimSource
+from crazyarena.runner.safeguard import LANDING, TICK
 from crazyarena.safety.estop import EmergencyStop, interrupt_policy
 from crazyarena.safety.estop_sources import SocketSource
 from crazyarena.safety.events import Action, SafetyEvent
@@ -46,8 +47,6 @@ _CAMERA_RATE = 100.0  # Hz, in simulation
 _LEAD = 0.2  # s for which simulated cameras have looked before the script begins
 _WATCH_PERIOD = 0.005  # s, between looks at the vehicles when there are no frames
 _BELIEVED = 0.3  # s, age up to which an estimate is good for checking commands
-_LANDING = 20.0  # s, for the watchdog to bring a vehicle down
-_TICK = 0.02  # s
 _LOW = 0.15  # m; below, and slower than this (m/s), a vehicle stands
 _STILL = 0.1
 _QUIET = 1.0  # s until the same warning about a vehicle is worth repeating
@@ -405,9 +404,9 @@ class GuardedFleet:
                 warn(f"the script ends while {self._names[vehicle]} flies: landing it")
             if watchdog.action(vehicle) < Action.LAND:
                 watchdog.request(Action.LAND, "script_over", vehicle)
-        end = self._clock.now() + _LANDING
+        end = self._clock.now() + LANDING
         while self._clock.now() < end and not all(map(watchdog.over, left)):
-            self._clock.sleep_until(self._clock.now() + _TICK)
+            self._clock.sleep_until(self._clock.now() + TICK)
         self._say()
         for vehicle in left:
             how = "cut" if watchdog.action(vehicle) is Action.CUT else "landed"

@@ -22,7 +22,7 @@ from crazyarena.runner.recording import Recorder
 from crazyarena.runner.referee import Event
 from crazyarena.runner.rig import Rig
 from crazyarena.runner.scene import moved_gates
-from crazyarena.runner.tracked_world import roll_pitch_yaw
+from crazyarena.runner.tracked_world import heading_like
 from crazyarena.types import PoseFrame, VehicleState
 
 Array = NDArray[np.float64]
@@ -185,6 +185,5 @@ class MovingGates:
 
 def _put(row: Array, state: VehicleState) -> None:
     """Move a gate's row; x, y and heading alone: it stands on the floor, and has no front."""
-    turned = roll_pitch_yaw(state.quaternion)[2] - row[5]
     row[:2] = state.position[:2]
-    row[5] += (turned + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+    row[5] = heading_like(row[5], state.quaternion)

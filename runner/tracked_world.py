@@ -126,6 +126,12 @@ class TrackedWorld:
         return row
 
 
+def heading_like(yaw: float, quaternion: Array) -> float:
+    """Heading, rad, of a measured body that has no front: of its two, the one near ``yaw``."""
+    turned = roll_pitch_yaw(quaternion)[2] - yaw
+    return yaw + (turned + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+
+
 def roll_pitch_yaw(quaternion: Array) -> tuple[float, float, float]:
     """Fixed-axis XYZ angles, rad, of a quaternion x, y, z, w."""
     x, y, z, w = quaternion.tolist()

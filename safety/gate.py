@@ -25,7 +25,7 @@ from crazyarena.errors import CommandError, InputError
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.link_loss import LinkLoss
+from crazyarena.safety.link_loss import LinkLoss, largest_share
 from crazyarena.safety.observation import Point, as_point
 from crazyarena.types import Pose, Telemetry, VehicleState
 
@@ -333,6 +333,11 @@ class CommandGate:
         state = self._state(vehicle)
         return None if state is None else as_point(state.position)
 
+    def _motion(self, vehicle: int) -> tuple[Point, Point] | None:
+        """Place and velocity for the look at link losses; None if off, or nobody knows them."""
+        state = self._state(vehicle) if self._link_loss.on else None
+        return None if state is None else (as_point(state.position), as_point(state.velocity))
+
     def _inside(self, point: Point, vehicle: int, reasons: list[str], what: str) -> Point:
         margin = self._fence.soft_margin
         room = self._fence.room(*point)
@@ -380,17 +385,11 @@ class CommandGate:
 
         if room_after(1.0) >= 0.0 and room_after(0.5) >= 0.0:
             return velocity
-        low, high = 0.0, 1.0
-        for _ in range(12):
-            middle = 0.5 * (low + high)
-            if room_after(middle) >= 0.0:
-                low = middle
-            else:
-                high = middle
+        left = largest_share(lambda share: room_after(share) >= 0.0, 12)
         reasons.append(
             f"velocity {_text(velocity)} m/s leads out of the fence within {horizon:g} s"
         )
-        return velocity[0] * low, velocity[1] * low, velocity[2] * low
+        return velocity[0] * left, velocity[1] * left, velocity[2] * left
 
     def _reachable(self, point: Point, vehicle: int, now: float, reasons: list[str]) -> Point:
         """Bound a streamed position by the one before it, and by where the vehicle is."""
@@ -418,11 +417,9 @@ class CommandGate:
         if place != asked:
             # A setpoint held back must not go on pushing outwards.
             velocity, acceleration = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        state = self._state(vehicle)
-        if state is not None and self._link_loss.on:
-            slower = self._link_loss.feedforward(
-                as_point(state.position), as_point(state.velocity), place, velocity, acceleration
-            )
+        motion = self._motion(vehicle)
+        if motion is not None:
+            slower = self._link_loss.feedforward(*motion, place, velocity, acceleration)
             if slower is not None:
                 reasons.append(_OUT_IF_LOST)
                 velocity = slower
@@ -435,11 +432,9 @@ class CommandGate:
         reasons: list[str] = []
         place = self._inside(as_point(m.position), vehicle, reasons, "position")
         place = self._reachable(place, vehicle, now, reasons)
-        state = self._state(vehicle)
-        if state is not None and self._link_loss.on:
-            nearer = self._link_loss.position(
-                as_point(state.position), as_point(state.velocity), place
-            )
+        motion = self._motion(vehicle)
+        if motion is not None:
+            nearer = self._link_loss.position(*motion, place)
             if nearer is not None:
                 reasons.append(_OUT_IF_LOST)
                 place = nearer
@@ -527,11 +522,11 @@ class CommandGate:
             goal = self._inside(goal, vehicle, reasons, "goal")
             distance = 0.0 if where is None else math.dist(goal, where)
         duration = self._duration(distance, float(m.duration), reasons)
-        state = self._state(vehicle)
-        if state is not None and self._link_loss.on:
-            place, moving = as_point(state.position), as_point(state.velocity)
-            end = as_point(state.position + np.array(goal)) if m.relative else goal
-            longer = self._link_loss.duration(place, moving, end, duration)
+        motion = self._motion(vehicle)
+        if motion is not None:
+            (x, y, z), _ = motion
+            end = (x + goal[0], y + goal[1], z + goal[2]) if m.relative else goal
+            longer = self._link_loss.duration(*motion, end, duration)
             if longer > duration:
                 reasons.append(
                     f"cut on the way it would leave the fence in less than {longer:.2f} s"

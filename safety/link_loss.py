@@ -89,10 +89,11 @@ class LinkLoss:
         """
         halfway = _moved(place, moving, rest, _HALFWAY)
         levelling = _moved(place, moving, rest, _LEVELLING)
+        # Of the tilt that is left something goes on pushing until it is level.
         speed = [
-            _after_levelling(x - u, v, r, k, c)
-            for x, u, v, r, k, c in zip(
-                place, rest, moving, _LEVELLING, _STIFFNESS, _DAMPING, strict=True
+            v - _LEVELLING_TIME * (k * (x - u) + c * v)
+            for x, u, v, k, c in zip(
+                levelling, rest, _speed(place, moving, rest), _STIFFNESS, _DAMPING, strict=True
             )
         ]
         # Level, it keeps its height; cut, it falls.
@@ -184,14 +185,7 @@ class LinkLoss:
     def _share(self, excess: Callable[[float], float]) -> float:
         if excess(1.0) <= self._margin:
             return 1.0
-        low, high = 0.0, 1.0
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            if excess(middle) <= self._margin:
-                low = middle
-            else:
-                high = middle
-        return low
+        return largest_share(lambda share: excess(share) <= self._margin, _BISECTIONS)
 
     def _room(self, point: Point) -> float:
         x, y, z = point
@@ -202,6 +196,18 @@ class LinkLoss:
         return room
 
 
+def largest_share(good: Callable[[float], bool], steps: int) -> float:
+    """The largest share of 1 that is still good, to ``steps`` bits; 0 always is."""
+    low, high = 0.0, 1.0
+    for _ in range(steps):
+        middle = 0.5 * (low + high)
+        if good(middle):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
 def _moved(place: Point, moving: Point, rest: Point, responses: list[_Response]) -> Point:
     x, y, z = (
         u + r.place_place * (p - u) + r.place_speed * v
@@ -210,13 +216,12 @@ def _moved(place: Point, moving: Point, rest: Point, responses: list[_Response])
     return x, y, z
 
 
-def _after_levelling(
-    away: float, speed: float, r: _Response, stiffness: float, damping: float
-) -> float:
-    """Speed, m/s, with which it coasts: what tilt is left goes on pushing until it is level."""
-    place = r.place_place * away + r.place_speed * speed
-    speed = r.speed_place * away + r.speed_speed * speed
-    return speed - _LEVELLING_TIME * (stiffness * place + damping * speed)
+def _speed(place: Point, moving: Point, rest: Point) -> list[float]:
+    """m/s, when the firmware begins to level out."""
+    return [
+        r.speed_place * (p - u) + r.speed_speed * v
+        for p, u, v, r in zip(place, rest, moving, _LEVELLING, strict=True)
+    ]
 
 
 def _along(point: Point, direction: Point, share: float) -> Point:

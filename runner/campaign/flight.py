@@ -21,18 +21,16 @@ from crazyarena.mocap.forwarder import PoseForwarder
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.mocap.sim_source import SimSource
 from crazyarena.runner.campaign.cameras import FaultyCameras
-from crazyarena.runner.campaign.circuit import Circuit
 from crazyarena.runner.campaign.excursion import Excursion
 from crazyarena.runner.campaign.faults import FAULTS
 from crazyarena.runner.campaign.link import FleetLink
 from crazyarena.runner.campaign.outcome import Outcome
+from crazyarena.runner.campaign.plan import draw_plan
 from crazyarena.runner.campaign.setting import (
     BODY,
     BOOT,
-    CLIMB,
     LAND_TIME,
     MISSION,
-    ONSET,
     OTHER,
     PATIENCE,
     RATE,
@@ -45,7 +43,6 @@ from crazyarena.safety.limits import PID_BRAKING, Limits
 from crazyarena.safety.monitors import CRASHED, LOCKED
 from crazyarena.safety.watchdog import Watchdog
 from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
-from crazyarena.sim_backend.physics.arena_plant import AP_STRENGTH, default_plant
 from crazyarena.sim_backend.physics.competition_step import B_VEL, P_MASS
 from crazyarena.types import Pose
 
@@ -67,21 +64,20 @@ class Flight:
             raise InputError(f"fault {fault!r}: choose from {', '.join(FAULTS)}")
         self.fault = fault
         self.seed = seed
-        self.rng = random.Random(f"{fault}/{seed}")
+        plan = draw_plan(fault, seed)
+        self.rng = plan.rng
+        self.plant = plan.plant
+        self.mellinger = plan.mellinger
+        self.circuit = plan.circuit
+        self.onset = plan.struck
         self.fence = Fence.from_arena(level.arena)
         self.clock = VirtualClock()
-        start = np.array([self.rng.uniform(-0.5, 0.5), self.rng.uniform(-0.5, 0.5), 0.03])
-        self.plant = default_plant()
-        self.plant[P_MASS] *= self.rng.uniform(0.95, 1.1)
-        self.plant[AP_STRENGTH : AP_STRENGTH + 4] = [self.rng.uniform(0.95, 1.05) for _ in range(4)]
         self.fleet = ArenaFleet(
-            [start],
+            [plan.start],
             plant=self.plant,
             noise=SensorNoise(gyro=0.1, accelerometer=0.005, force=0.0),
             rng=np.random.default_rng([seed, 1]),
         )
-        # One flight in four with the firmware's other controller, which is slower.
-        self.mellinger = seed % 4 != 3
         self.fleet.set_param(0, "stabilizer.controller", 2 if self.mellinger else 1)
         self.link = FleetLink(self.fleet, self.clock, random.Random(seed))
         source = SimSource(
@@ -112,12 +108,8 @@ class Flight:
             self.pipeline.estimate,
             feed=self.link.feed,
             props=(OTHER,),
-            grounds={VEHICLE: float(start[2])},
+            grounds={VEHICLE: float(plan.start[2])},
         )
-        speed = self.rng.uniform(0.8, 2.0) if self.mellinger else self.rng.uniform(0.3, 0.5)
-        climb = CLIMB if self.mellinger else 2.0 * CLIMB
-        self.circuit = Circuit(start, self.rng, speed, climb)
-        self.onset = self.rng.uniform(*ONSET) + climb - CLIMB
         self.ground_station_alive = True
         self.contestant: Callable[[float], c.Command | None] | None = None
         self.silence_is_an_answer = False

@@ -26,7 +26,7 @@ class Plan:
     start: (3,) m; plant: row of the vehicle.
     mellinger: which of the firmware's controllers flies.
     circuit: the contestant's flight.
-    onset: s after the take-off.
+    struck: s on the clock of the campaign in virtual time, when the fault sets in.
     rng: what the fault itself draws from.
     """
 
@@ -35,20 +35,26 @@ class Plan:
     plant: Array
     mellinger: bool
     circuit: Circuit
-    onset: float
+    struck: float
     rng: random.Random
+
+    @property
+    def onset(self) -> float:
+        """When the fault sets in, s after the take-off."""
+        return self.struck - BOOT
 
 
 def draw_plan(fault: str, seed: int) -> Plan:
-    """The flight that the campaign in virtual time flies with the same fault and seed."""
+    """The same flight for the same fault and seed, in virtual time and over UDP."""
     rng = random.Random(f"{fault}/{seed}")
     start = np.array([rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5), 0.03])
     plant = default_plant()
     plant[P_MASS] *= rng.uniform(0.95, 1.1)
     plant[AP_STRENGTH : AP_STRENGTH + 4] = [rng.uniform(0.95, 1.05) for _ in range(4)]
+    # One flight in four with the firmware's other controller, which is slower.
     mellinger = seed % 4 != 3
     speed = rng.uniform(0.8, 2.0) if mellinger else rng.uniform(0.3, 0.5)
     climb = CLIMB if mellinger else 2.0 * CLIMB
     circuit = Circuit(start, rng, speed, climb)
-    onset = rng.uniform(*ONSET) + climb - CLIMB - BOOT
-    return Plan(seed, start, plant, mellinger, circuit, onset, rng)
+    struck = rng.uniform(*ONSET) + climb - CLIMB
+    return Plan(seed, start, plant, mellinger, circuit, struck, rng)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import pty
-import select
 import socket
-import struct
 import sys
 import threading
 from pathlib import Path
@@ -22,6 +20,7 @@ from crazyarena.runner.stops import DeadManBy, StopOptions, open_stops
 from crazyarena.safety import estop_sources
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.estop_sources import stop_local, stop_over_zenoh
+from tests.safety.pad import Pad
 
 PATIENCE = 10.0
 SECRET = b"correct horse battery staple"
@@ -35,27 +34,6 @@ class Link:
     def send(self, command, vehicle=None) -> None:
         self.sent.append(command)
         self.stopped.set()
-
-
-class Pad:
-    """What evdev's InputDevice looks like, fed through a pipe."""
-
-    name = "pad of the test"
-
-    def __init__(self) -> None:
-        self.fd, self._write = os.pipe()
-
-    def press(self, code: int, value: int) -> None:
-        os.write(self._write, struct.pack("HHi", 1, code, value))
-
-    def read(self):
-        ready, _, _ = select.select([self.fd], [], [], 0)
-        if ready:
-            kind, code, value = struct.unpack("HHi", os.read(self.fd, 8))
-            yield SimpleNamespace(type=kind, code=code, value=value)
-
-    def close(self) -> None:
-        os.close(self.fd)
 
 
 @pytest.fixture

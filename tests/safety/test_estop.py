@@ -5,15 +5,12 @@ from __future__ import annotations
 import json
 import os
 import pty
-import select
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import threading
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -31,6 +28,7 @@ from crazyarena.safety.estop_sources import (
     stop_over_zenoh,
 )
 from crazyarena.safety.estop_token import TokenCheck, make_message, read_secret
+from tests.safety.pad import Pad
 
 SECRET = b"correct horse battery staple"
 PATIENCE = 10.0
@@ -144,27 +142,6 @@ def test_keyboard_needs_a_terminal(stop):
         KeyboardSource(stop, None, read)
     os.close(read)
     os.close(write)
-
-
-class Pad:
-    """What evdev's InputDevice looks like, fed through a pipe."""
-
-    def __init__(self) -> None:
-        self.fd, self._write = os.pipe()
-
-    def press(self, code: int, value: int) -> None:
-        os.write(self._write, struct.pack("HHi", 1, code, value))
-
-    def read(self):
-        ready, _, _ = select.select([self.fd], [], [], 0)
-        data = os.read(self.fd, 8) if ready else b""
-        if not data:
-            raise OSError("unplugged")
-        kind, code, value = struct.unpack("HHi", data)
-        yield SimpleNamespace(type=kind, code=code, value=value)
-
-    def unplug(self) -> None:
-        os.close(self._write)
 
 
 def wait_for(condition) -> bool:

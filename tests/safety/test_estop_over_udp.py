@@ -6,10 +6,8 @@ import contextlib
 import multiprocessing
 import os
 import pty
-import select
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import threading
@@ -40,6 +38,7 @@ from crazyarena.safety.gate import CommandGate
 from crazyarena.safety.watchdog import Watchdog
 from crazyarena.types import VehicleState
 from tests.crazyswarm_compat.radio.conftest import Hangar, eventually
+from tests.safety.pad import Pad
 
 pytestmark = pytest.mark.slow
 SECRET = b"correct horse battery staple"
@@ -85,16 +84,9 @@ def test_keyboard(flying):
 
 
 def test_gamepad(flying):
-    read, write = os.pipe()
-
-    def events():
-        ready, _, _ = select.select([read], [], [], 0)
-        if ready:
-            kind, code, value = struct.unpack("HHi", os.read(read, 8))
-            yield SimpleNamespace(type=kind, code=code, value=value)
-
-    source = GamepadSource(flying.stop, None, SimpleNamespace(fd=read, read=events))
-    os.write(write, struct.pack("HHi", 1, 0x131, 1))
+    pad = Pad()
+    source = GamepadSource(flying.stop, None, pad)
+    pad.press(0x131, 1)
     motors_are_cut(flying)
     source.close()
 
@@ -228,21 +220,15 @@ def test_letting_go_of_the_key_lands(guarded):
 
 
 def test_letting_go_of_the_button_lands(guarded):
-    read, write = os.pipe()
-
-    def events():
-        ready, _, _ = select.select([read], [], [], 0)
-        if ready:
-            kind, code, value = struct.unpack("HHi", os.read(read, 8))
-            yield SimpleNamespace(type=kind, code=code, value=value)
+    pad = Pad()
 
     @contextlib.contextmanager
     def button():
-        os.write(write, struct.pack("HHi", 1, 0x136, 1))
+        pad.press(0x136, 1)
         yield
-        os.write(write, struct.pack("HHi", 1, 0x136, 0))
+        pad.press(0x136, 0)
 
-    source = GamepadSource(guarded.stop, guarded.dead_man, SimpleNamespace(fd=read, read=events))
+    source = GamepadSource(guarded.stop, guarded.dead_man, pad)
     letting_go_lands(guarded, button())
     source.close()
 
