@@ -27,6 +27,7 @@ from crazyarena.mocap.vendor_server import QualisysServer
 from crazyarena.mocap.wire import encode
 from crazyarena.mocap.zenoh_link import ZenohPublisher, ZenohSource, open_session
 from crazyarena.types import Pose, PoseFrame
+from tests.waiting import eventually
 
 # The Qualisys client always listens on this UDP port, so one may run at a time per machine.
 QUALISYS_UDP = 6734
@@ -42,15 +43,6 @@ def qualisys_port_free():
             except OSError:
                 stopwatch.sleep(0.5)
     pytest.skip(f"UDP port {QUALISYS_UDP} is taken by another Qualisys client")
-
-
-def wait_for(condition, seconds: float = 20.0) -> bool:
-    end = stopwatch.monotonic() + seconds
-    while stopwatch.monotonic() < end:
-        if condition():
-            return True
-        stopwatch.sleep(0.01)
-    return False
 
 
 def show(m: Measurement) -> None:
@@ -135,13 +127,13 @@ def check_death_and_return(watched: Watched, feeder, revive) -> None:
     """The story every network source must tell: live, stale on time, live again, closed."""
     pipeline = watched.pipeline
     with closing(watched):
-        assert wait_for(lambda: pipeline.live and "cf1" in pipeline.poses())
+        eventually(lambda: pipeline.live and "cf1" in pipeline.poses())
         last = pipeline.estimate("cf1")
         assert last.freshness in (Freshness.FRESH, Freshness.BRIDGED)
         watched.events.clear()
         feeder.close()
-        assert wait_for(lambda: EventKind.SOURCE_STALE in watched.kinds(), 3.0)
-        assert wait_for(lambda: EventKind.BODY_STALE in watched.kinds(), 3.0)
+        eventually(lambda: EventKind.SOURCE_STALE in watched.kinds(), 3.0)
+        eventually(lambda: EventKind.BODY_STALE in watched.kinds(), 3.0)
         stale = next(e for e in watched.events if e.kind is EventKind.SOURCE_STALE)
         silence = float(stale.message.split()[3])
         # Never early; how late is up to the machine's load.
@@ -150,9 +142,9 @@ def check_death_and_return(watched: Watched, feeder, revive) -> None:
         assert pipeline.estimate("cf1").freshness is Freshness.STALE
         revived = revive()
         try:
-            assert wait_for(lambda: "cf1" in pipeline.poses(), 20.0), pipeline.source.status
-            assert wait_for(lambda: EventKind.SOURCE_RECONNECTED in watched.kinds(), 3.0)
-            assert wait_for(lambda: EventKind.BODY_RECOVERED in watched.kinds(), 3.0)
+            eventually(lambda: "cf1" in pipeline.poses(), 20.0), pipeline.source.status
+            eventually(lambda: EventKind.SOURCE_RECONNECTED in watched.kinds(), 3.0)
+            eventually(lambda: EventKind.BODY_RECOVERED in watched.kinds(), 3.0)
         finally:
             revived.close()
     assert watched.closing_took < 1.0
@@ -200,10 +192,10 @@ def test_vendor_server_that_stalls_is_noticed_and_closing_does_not_wait(qualisys
         ["cf1"],
     )
     with closing(watched):
-        assert wait_for(lambda: watched.pipeline.live)
+        eventually(lambda: watched.pipeline.live)
         watched.events.clear()
         feeder.pause()
-        assert wait_for(lambda: EventKind.SOURCE_STALE in watched.kinds(), 3.0)
+        eventually(lambda: EventKind.SOURCE_STALE in watched.kinds(), 3.0)
     assert watched.closing_took < 1.0
     server.close()
 
@@ -211,7 +203,7 @@ def test_vendor_server_that_stalls_is_noticed_and_closing_does_not_wait(qualisys
 def test_no_server_is_said_in_words_and_closing_does_not_wait():
     clock = WallClock()
     source = MotionCaptureSource(clock, "qualisys", hostname="127.0.0.1", port=free_port())
-    assert wait_for(lambda: source.status.error is not None)
+    eventually(lambda: source.status.error is not None)
     assert "QTM" in (source.status.error or "")
     assert source.status.state is SourceState.LOST
     before = stopwatch.monotonic()
@@ -223,7 +215,7 @@ def test_no_server_is_said_in_words_and_closing_does_not_wait():
 
 def test_a_type_the_wheel_was_built_without_is_said_in_words():
     source = MotionCaptureSource(WallClock(), "motionanalysis", hostname="127.0.0.1")
-    assert wait_for(lambda: source.status.error is not None)
+    eventually(lambda: source.status.error is not None)
     assert "type" in (source.status.error or "")
     source.close()
 
@@ -246,10 +238,10 @@ def test_vendor_poses_survive_the_wire_and_hidden_bodies_are_absent(qualisys_por
             latency=0.005,
             convention=Convention(offsets={"cf0": offset}),
         )
-        assert wait_for(lambda: server.clients == 1)
+        eventually(lambda: server.clients == 1)
         server.publish(PoseFrame(0.0, 0.0, 7, truth, rng.uniform(-1, 1, (5, 3))))
         frames = []
-        assert wait_for(lambda: frames.extend(source.frames(0.1)) or frames)
+        eventually(lambda: frames.extend(source.frames(0.1)) or frames)
         source.close()
     (frame,) = frames
     assert frame.received - frame.timestamp >= 0.005
@@ -277,11 +269,11 @@ def test_malformed_payloads_are_counted_and_dropped():
         frames.extend(source.frames(0.05))
         return bool(frames)
 
-    assert wait_for(arrived)
+    eventually(arrived)
     before = source.status.malformed
     for bad in (b"", b"CAPF", good[:-1], good[:20] + b"\xff" + good[21:], b"x" * 5000):
         session.put("test/poses", bad)
-    assert wait_for(lambda: source.status.malformed - before == 5), source.status
+    eventually(lambda: source.status.malformed - before == 5), source.status
     assert source.status.state is SourceState.LIVE
     assert "checksum" in (source.status.error or "") or source.status.error
     source.close()
@@ -299,7 +291,7 @@ def test_lost_frames_are_counted_and_told():
             if watched.pipeline.source.status.frames >= 3:
                 break
         session.put("gap", encode(k + 5, 0.0, 0.0, 5, 6, {}))
-        assert wait_for(lambda: EventKind.FRAMES_LOST in watched.kinds())
+        eventually(lambda: EventKind.FRAMES_LOST in watched.kinds())
         assert watched.pipeline.source.status.lost == 4
     session.close()
 
@@ -331,7 +323,7 @@ def test_one_machine_reads_the_cameras_and_others_listen(qualisys_port_free):
         ]
         for source in sources:
             seen: set[str] = set()
-            assert wait_for(
+            eventually(
                 lambda source=source, seen=seen: (
                     [seen.update(f.bodies) for f in source.frames(0.1)] and len(seen) == 2
                 )

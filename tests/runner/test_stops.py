@@ -21,6 +21,7 @@ from crazyarena.safety import estop_sources
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.estop_sources import stop_local, stop_over_zenoh
 from tests.safety.pad import Pad
+from tests.waiting import eventually
 
 PATIENCE = 10.0
 SECRET = b"correct horse battery staple"
@@ -74,15 +75,6 @@ def token(tmp_path) -> Path:
     file.write_bytes(SECRET)
     file.chmod(0o600)
     return file
-
-
-def eventually(holds) -> None:
-    pause = threading.Event()
-    for _ in range(200):
-        if holds():
-            return
-        pause.wait(0.05)
-    raise AssertionError("did not happen in time")
 
 
 def free_endpoint() -> str:

@@ -29,6 +29,7 @@ from crazyarena.safety.estop_sources import (
 )
 from crazyarena.safety.estop_token import TokenCheck, make_message, read_secret
 from tests.safety.pad import Pad
+from tests.waiting import eventually
 
 SECRET = b"correct horse battery staple"
 PATIENCE = 10.0
@@ -144,32 +145,23 @@ def test_keyboard_needs_a_terminal(stop):
     os.close(write)
 
 
-def wait_for(condition) -> bool:
-    pause = threading.Event()
-    for _ in range(200):
-        if condition():
-            return True
-        pause.wait(0.05)
-    return False
-
-
 def test_gamepad_stops_holds_and_may_be_unplugged(stop, link):
     pad = Pad()
     dead_man = DeadMan(WallClock())
     gamepad = GamepadSource(stop, dead_man, pad)
     pad.press(0x136, 1)
-    assert wait_for(lambda: dead_man.age() < 0.5)
+    eventually(lambda: dead_man.age() < 0.5)
     pad.press(0x136, 0)
-    assert wait_for(lambda: dead_man.age() == float("inf"))
+    eventually(lambda: dead_man.age() == float("inf"))
     pad.press(0x136, 1)
-    assert wait_for(lambda: dead_man.age() < 0.5)
+    eventually(lambda: dead_man.age() < 0.5)
     pad.press(0x130, 1)
     assert not link.stopped.is_set()
     pad.press(0x131, 1)
     assert link.stopped.wait(PATIENCE)
     assert stop.stopped.source == "gamepad"
     pad.unplug()
-    assert wait_for(lambda: dead_man.age() == float("inf"))
+    eventually(lambda: dead_man.age() == float("inf"))
     gamepad.close()
 
 
@@ -238,10 +230,10 @@ def test_interrupt_lands_and_once_more_stops():
     before = signal.getsignal(signal.SIGINT)
     with interrupt_policy(landed.append, lambda *why: stopped.append(why)):
         os.kill(os.getpid(), signal.SIGINT)
-        assert wait_for(lambda: landed == ["SIGINT"])
+        eventually(lambda: landed == ["SIGINT"])
         assert stopped == []
         os.kill(os.getpid(), signal.SIGTERM)
-        assert wait_for(lambda: stopped == [("signal", "SIGTERM")])
+        eventually(lambda: stopped == [("signal", "SIGTERM")])
     assert signal.getsignal(signal.SIGINT) is before
 
 
@@ -328,7 +320,7 @@ def test_zenoh_stop_needs_the_token(stop, link):
     try:
         assert stop_over_zenoh(None, "forged", [endpoint]) == [source.check.session]
         assert stop_over_zenoh(b"guessed, not known at all", "forged", [endpoint])
-        assert wait_for(lambda: source.check.refused >= 2)
+        eventually(lambda: source.check.refused >= 2)
         assert not link.stopped.is_set()
         assert stop_over_zenoh(SECRET, "smoke", [endpoint]) == [source.check.session]
         assert link.stopped.wait(PATIENCE)

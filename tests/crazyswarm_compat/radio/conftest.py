@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from dataclasses import replace
 
 import pytest
@@ -114,14 +113,6 @@ def world(toc_cache):
             return hangar, backend
 
         yield make
-
-
-def eventually(holds, timeout=5.0):
-    """Wait until ``holds()``; fails the test after ``timeout`` s."""
-    deadline = time.monotonic() + timeout
-    while not holds():
-        assert time.monotonic() < deadline, "did not happen in time"
-        time.sleep(0.01)
 
 
 def stream(backend, setpoint, duration, rate=30.0):

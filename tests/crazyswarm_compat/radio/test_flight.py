@@ -22,7 +22,8 @@ from crazyarena.crazyswarm_compat.radio import (
     RadioOptions,
     StreamEnded,
 )
-from tests.crazyswarm_compat.radio.conftest import Hangar, eventually, stream
+from tests.crazyswarm_compat.radio.conftest import Hangar, stream
+from tests.waiting import eventually
 
 FLYING, LOCKED = 1 << 4, 1 << 6
 YAML = "crazyflies:\n- {id: 1, channel: 80, initialPosition: [0, 0, 0]}\n"

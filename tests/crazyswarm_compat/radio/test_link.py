@@ -23,7 +23,8 @@ from crazyarena.crazyswarm_compat.radio import (
 )
 from crazyarena.errors import BackendError, CommandError, InputError
 from crazyarena.types import Pose
-from tests.crazyswarm_compat.radio.conftest import Hangar, eventually
+from tests.crazyswarm_compat.radio.conftest import Hangar
+from tests.waiting import eventually
 
 LOCKED = 1 << 6
 

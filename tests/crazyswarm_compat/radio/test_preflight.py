@@ -11,7 +11,7 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.radio import Preparation, RadioOptions
 from crazyarena.errors import BackendError
 from crazyarena.types import Pose
-from tests.crazyswarm_compat.radio.conftest import eventually
+from tests.waiting import eventually
 
 
 @pytest.fixture

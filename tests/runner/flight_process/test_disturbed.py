@@ -11,6 +11,7 @@ from crazyarena.runner import export
 from crazyarena.safety.estop_sources import stop_local
 from crazyarena.sim_backend.firmware.supervisor import INFO_ARMED, INFO_FLYING, INFO_LOCKED
 from tests.runner.flying import Flying, is_alive
+from tests.waiting import eventually
 
 pytestmark = pytest.mark.slow
 
@@ -19,13 +20,6 @@ pytestmark = pytest.mark.slow
 def flying(tmp_path):
     with Flying(tmp_path) as flying:
         yield flying
-
-
-def eventually(holds, timeout):
-    deadline = time.monotonic() + timeout
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
 
 
 def test_the_vehicle_outlives_the_runner(flying):
