@@ -52,6 +52,13 @@ def raise_priority(inherit: bool = False) -> str:
     return f"SCHED_FIFO {PRIORITY}"
 
 
+def is_raised() -> bool:
+    """Whether the calling thread is scheduled in real time."""
+    with contextlib.suppress(OSError, AttributeError):
+        return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+    return False
+
+
 def lower_priority() -> None:
     """Undo :func:`raise_priority`."""
     with contextlib.suppress(OSError, AttributeError):

@@ -2,9 +2,9 @@
 
 Rows are copied into preallocated arrays during the flight and written in one go at the end, so
 that recording costs a few microseconds a control step. Once a second of *wall* time what is
-not yet on disk is appended to ``<file>.part`` (a valid beginning of an MCAP file), so that even
-a killed process loses no more than that. The finished file holds no wall-clock value: the same
-flight gives the same bytes.
+not yet on disk is handed to a thread that appends it to ``<file>.part`` (a valid beginning of
+an MCAP file), so that even a killed process loses no more than that. The finished file holds
+no wall-clock value: the same flight gives the same bytes.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat import commands as cs
 from crazyarena.runner import mcap_file, verdict_row
 from crazyarena.runner.asked import VERBS, Asked
+from crazyarena.runner.part_file import PartFile
+from crazyarena.runner.rows import Rows
 from crazyarena.sim_backend.trace import TR_TIME, TRACE_SIZE
 
 # Kinds of commands sent, by number: 0 is "nothing sent".
@@ -134,36 +136,6 @@ def nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.uint64]:
     return np.rint(seconds * 1e9).astype(np.uint64)
 
 
-class _Rows:
-    """A growing array of float64 rows; doubling keeps appends cheap."""
-
-    def __init__(self, width: int, capacity: int) -> None:
-        self._data = np.empty((capacity, width))
-        self.count = 0
-
-    def _room(self, rows: int) -> None:
-        need = self.count + rows
-        if need > len(self._data):
-            bigger = np.empty((max(need, 2 * len(self._data)), self._data.shape[1]))
-            bigger[: self.count] = self._data[: self.count]
-            self._data = bigger
-
-    def extend(self, rows: NDArray[np.float64]) -> None:
-        n = len(rows)
-        self._room(n)
-        self._data[self.count : self.count + n] = rows
-        self.count += n
-
-    def next(self) -> NDArray[np.float64]:
-        self._room(1)
-        self.count += 1
-        return self._data[self.count - 1]
-
-    @property
-    def rows(self) -> NDArray[np.float64]:
-        return self._data[: self.count]
-
-
 def _write_args(row: NDArray[np.float64], at: int, command: cs.Command | None) -> None:
     row[at : at + _ARGS] = np.nan
     match command:
@@ -217,14 +189,14 @@ class Recorder:
         self._wall = wall
         self._flush_period = flush_period
         self._flushed_at = wall.now()
-        self._part: BinaryIO | None = None
-        self._states = _Rows(TRACE_SIZE, 17408)
-        self._commands = _Rows(COMMAND_SIZE, 1024)
-        self._verdicts = _Rows(verdict_row.SIZE, 1024)
+        self._part: PartFile | None = None
+        self._states = Rows(TRACE_SIZE, 17408)
+        self._commands = Rows(COMMAND_SIZE, 1024)
+        self._verdicts = Rows(verdict_row.SIZE, 1024)
         self._pose_index: list[int] = []
         self._events: list[tuple[int, bytes]] = []
         self._scenes: list[tuple[int, bytes]] = [(0, json.dumps(scene).encode())]
-        self._gates = _Rows(8, 64)
+        self._gates = Rows(8, 64)
         self._on_disk = [0] * len(CHANNELS)
         self._closed = False
 
@@ -271,10 +243,10 @@ class Recorder:
 
     def _batches(self, first: list[int], last: list[int]) -> list[mcap_file.Batch]:
         """Messages number ``first`` (inclusive) to ``last`` (exclusive) of every channel."""
-        states = self._states.rows[first[0] : last[0]]
-        commands = self._commands.rows[first[1] : last[1]]
-        verdicts = self._verdicts.rows[first[2] : last[2]]
-        posed = self._states.rows[self._pose_index[first[3] : last[3]]]
+        states = self._states.between(first[0], last[0])
+        commands = self._commands.between(first[1], last[1])
+        verdicts = self._verdicts.between(first[2], last[2])
+        posed = self._states.take(self._pose_index[first[3] : last[3]])
         times = nanoseconds(posed[:, TR_TIME])
         poses = np.zeros(len(posed), _POSE_ROW)
         poses["sec"] = times // 10**9
@@ -292,7 +264,7 @@ class Recorder:
             batches.append(mcap_file.message(_EVENT, i, *self._events[i]))
         for i in range(first[5], last[5]):
             batches.append(mcap_file.message(_SCENE, i, *self._scenes[i]))
-        gates = self._gates.rows[first[6] : last[6]]
+        gates = self._gates.between(first[6], last[6])
         batches.append(mcap_file.cdr_batch(_GATE, first[6], nanoseconds(gates[:, 0]), gates))
         return batches
 
@@ -308,17 +280,14 @@ class Recorder:
         ]
 
     def flush(self) -> None:
-        """Append what is not on disk yet to the ``.part`` file."""
+        """Append what is not on disk yet to the ``.part`` file; nobody waits for the disk."""
         if self.file is None:
             return
         if self._part is None:
-            self._part_file = self.file.with_name(self.file.name + ".part")
-            self._part = open(self._part_file, "wb")  # noqa: SIM115 - closed by close()
-            self._part.write(mcap_file.preamble(CHANNELS, "crazyarena"))
+            self._part = PartFile(self.file.with_name(self.file.name + ".part"))
+            self._part.append([mcap_file.preamble(CHANNELS, "crazyarena")])
         counts = self._counts()
-        for batch in self._batches(self._on_disk, counts):
-            self._part.write(batch.data)
-        self._part.flush()
+        self._part.append(batch.data for batch in self._batches(self._on_disk, counts))
         self._on_disk = counts
 
     def close(self) -> None:
@@ -339,7 +308,7 @@ class Recorder:
         os.replace(unfinished, self.file)
         if self._part is not None:
             self._part.close()
-            self._part_file.unlink()
+            self._part.path.unlink()
 
     # What figures and reports need of the flight just recorded.
     @property

@@ -13,6 +13,7 @@ from crazyarena.runner import export, verdict_row
 from crazyarena.runner.asked import Asked
 from crazyarena.runner.recording import SENT_KINDS, Recorder
 from tests.runner.fakes import rows
+from tests.waiting import eventually
 
 ASKED = Asked(1, cs.FullState([1, 2, 3], [4, 5, 6], [7, 8, 9], 0.5, [10, 11, 12]))
 
@@ -119,6 +120,7 @@ def test_a_killed_process_loses_at_most_a_second(tmp_path):
     writing = recorder(tmp_path / "a.mcap", clock)
     fill(writing, 35, clock=clock)  # 0.1 s of wall time each; never closed
     (part,) = export.recordings(tmp_path)
+    eventually(lambda: len(export.read(part).tables["command"]) >= 25)
     back = export.read(part)
     assert not back.complete
     assert 25 <= len(back.tables["command"]) <= 35
