@@ -220,3 +220,6 @@ Command: TypeAlias = (
     | SetLed
     | CollisionAvoidance
 )
+
+# Setpoints: they count until the next one, which must not be long in coming.
+STREAMED = (FullState, Position, VelocityWorld, Hover, Attitude)

@@ -30,8 +30,7 @@ from crazyarena.safety.observation import Point, as_point
 from crazyarena.types import Pose, Telemetry, VehicleState
 
 _STOPPING = (c.Emergency, c.CutMotors, c.Stop)
-_STREAMED = (c.FullState, c.Position, c.VelocityWorld, c.Hover, c.Attitude)
-_FLYING = (*_STREAMED, c.Takeoff, c.GoTo, c.StartTrajectory)
+_FLYING = (*c.STREAMED, c.Takeoff, c.GoTo, c.StartTrajectory)
 # Peaks of the firmware's rest-to-rest polynomial of 7th order over distance and duration.
 _PEAK_SPEED = 35.0 / 16.0
 _PEAK_ACCELERATION = 7.5132
@@ -304,7 +303,7 @@ class CommandGate:
                 memory.flying_since = now
         elif isinstance(fitted, c.Land):
             memory.ending = True
-        if isinstance(fitted, _STREAMED):
+        if isinstance(fitted, c.STREAMED):
             memory.streaming = True
             memory.setpoint_time = now
             memory.is_reference = isinstance(fitted, c.FullState)

@@ -17,7 +17,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from crazyarena.clock import WallClock
-from crazyarena.crazyswarm_compat.commands import Command
+from crazyarena.crazyswarm_compat.checks import check
+from crazyarena.crazyswarm_compat.commands import STREAMED, Command
 from crazyarena.errors import BackendError
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level
@@ -56,6 +57,7 @@ class FlightProcess:
     ----------
     frames: that have arrived and were not fetched yet. status: as last told.
     lost: why the process can no longer be reached, or None.
+    refused: the first of what was posted that failed, or None.
     notes: what real-time privileges it was granted.
 
     Raises
@@ -67,6 +69,7 @@ class FlightProcess:
         self.frames: list[PoseFrame] = []
         self.status = wire.Status(Telemetry(-math.inf), SourceStatus())
         self.lost: str | None = None
+        self.refused: Exception | None = None
         self.notes: list[str] = []
         self._replies: dict[int, wire.Reply] = {}
         self._clock = WallClock()
@@ -104,6 +107,10 @@ class FlightProcess:
     def tell(self, name: str, *arguments: Any) -> None:
         """Call ``name`` over there; nobody waits for it. Any thread."""
         self._send(wire.encode(wire.Call(0, name, arguments)))
+
+    def post(self, name: str, *arguments: Any) -> None:
+        """Call ``name`` over there without waiting; if it fails, ``refused`` will say so."""
+        self._send(wire.encode(wire.Call(wire.POSTED, name, arguments)))
 
     def ask(self, name: str, *arguments: Any, timeout: float = _ANSWERING) -> Any:
         """Call ``name`` over there and return its result, or raise what it raised.
@@ -157,7 +164,10 @@ class FlightProcess:
             elif isinstance(message, wire.Status):
                 self.status = message
             elif isinstance(message, wire.Reply):
-                self._replies[message.number] = message
+                if message.number == wire.POSTED and message.failure is not None:
+                    self.refused = self.refused or wire.revive(message.failure)
+                else:
+                    self._replies[message.number] = message
 
     def sign_of_life(self, now: float) -> None:
         """Now and then, so that over there a runner that hangs can be told from a busy one."""
@@ -274,8 +284,26 @@ class RemoteBackend:
         self.vehicles: Sequence[int] = (vehicle,)
 
     def send(self, command: Command, vehicle: int | None = None) -> None:
-        """As the gate; raises BackendError if the flight process is gone."""
-        self._process.ask("send", command, vehicle)
+        """As the gate, but that a setpoint is not waited for, so that no tick waits for another
+        process: if one is refused, the next setpoint raises it.
+
+        Raises
+        ------
+        BackendError: the flight process is gone.
+        """
+        process = self._process
+        if not isinstance(command, STREAMED):
+            process.ask("send", command, vehicle)
+            process.refused = None
+            return
+        refused, process.refused = process.refused, None
+        if refused is not None:
+            raise refused
+        process.post("send", command, vehicle)
+        if process.lost is not None:
+            raise BackendError(process.lost)
+        # What no gate would pass is known here as well.
+        check(command, "all vehicles" if vehicle is None else f"cf{vehicle}")
 
     def send_external_poses(self, poses: Mapping[int, Pose]) -> None:
         self._process.ask("send_external_poses", dict(poses))

@@ -119,7 +119,7 @@ class FlightServer:
             value, failed = None, wire.failure(error)
             # The runner will ask why, and whether the watchdog was faster.
             self._tell(self._status())
-        if call.number:
+        if call.number > 0 or (call.number == wire.POSTED and failed is not None):
             self._tell(wire.Reply(call.number, value, failed))
 
     def _tell(self, message: wire.Message) -> None:

@@ -20,6 +20,7 @@ from crazyarena.mocap.source import SourceStatus
 from crazyarena.types import Pose, PoseFrame, Telemetry
 
 _FRAME, _OBJECT = b"F", b"O"
+POSTED = -1
 # Kind, bodies, markers, bytes of the pickled names, frame id, timestamp, received; the numbers
 # behind it are aligned.
 _HEAD = struct.Struct("<cxxxIIIqdd")
@@ -27,7 +28,8 @@ _HEAD = struct.Struct("<cxxxIIIqdd")
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """Call ``name`` of the other side. ``number`` 0 wants no answer."""
+    """Call ``name`` of the other side. ``number`` 0 wants no answer, :data:`POSTED` only to hear
+    of a failure."""
 
     number: int
     name: str

@@ -1,5 +1,7 @@
 """The rig of a flight process, on a virtual vehicle that stays on the ground."""
 
+import os
+import signal
 import time
 
 import numpy as np
@@ -56,6 +58,11 @@ def test_what_is_refused_over_there_is_raised_here(rig):
             cs.FullState((np.nan, 0, 1), (0, 0, 0), (0, 0, 0), 0.0, (0, 0, 0)), rig.vehicle
         )
     assert not isinstance(wrong.value, Refused)
+    # The gate over there has said the same, which the next setpoint hears; the one after it flies.
+    setpoint = cs.FullState((0, 0, 1), (0, 0, 0), (0, 0, 0), 0.0, (0, 0, 0))
+    let_pass(rig, 0.2)
+    with pytest.raises(CommandError, match=r"cf1: cmdFullState: pos is"):
+        rig.backend.send(setpoint, rig.vehicle)
     with pytest.raises(Refused, match="no such vehicle") as refused:
         rig.backend.send(cs.Takeoff(1.0, 2.0), 7)
     assert type(refused.value) is Refused
@@ -63,6 +70,27 @@ def test_what_is_refused_over_there_is_raised_here(rig):
         rig.backend.get_param(rig.vehicle, "nothing.here")
     assert rig.backend.get_param(rig.vehicle, "commander.enHighLevel") in (0.0, 1.0)
     assert rig.safeguard.verdict() is None
+
+
+def test_a_setpoint_is_not_waited_for(rig):
+    pid = rig.backend._process.pid
+    setpoint = cs.FullState((0, 0, 1), (0, 0, 0), (0, 0, 0), 0.0, (0, 0, 0))
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        before = rig.clock.now()
+        rig.backend.send(setpoint, 7)
+        # Nobody over there can have answered.
+        assert rig.clock.now() - before < 1.0
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    let_pass(rig, 0.2)
+    with pytest.raises(Refused, match="cf7: cmdFullState: no such vehicle"):
+        rig.backend.send(setpoint, rig.vehicle)
+    # A refusal is told once, and only to a setpoint.
+    rig.backend.send(setpoint, 7)
+    let_pass(rig, 0.2)
+    rig.backend.send(cs.Land(0.0, 1.0), rig.vehicle)
+    rig.backend.send(setpoint, 7)
 
 
 def test_no_frame_is_lost_while_the_runner_is_stalled(rig):
