@@ -6,7 +6,8 @@ their own: ``sleep(1/30 - elapsed)``, and one that remembers when it should have
 ``rospy.Rate`` does. All of them idle, and again with every CPU busy.
 
 ``late`` is tick k against t0 + k/30, in ms. Of ours, ``machine`` is how late the wake-up itself
-was and ``ours`` the rest, up to the first line of Python; the plain loops are alone in their
+was and ``ours`` the rest, up to the first line of Python; ticks that were skipped are ours unless
+the processor we ran on is known to have stood still. The plain loops are alone in their
 processes, so that theirs is the machine's. The naive loop drifts, which is most of its
 lateness; ``period`` compares every tick with the one before it instead. Run
 ``python benchmarks/scheduler.py [--minutes 10] [--only idle|loaded]``.
@@ -177,7 +178,8 @@ def measure(seconds: float, loaded: bool) -> dict[str, Any]:
             "ours": shown(episode["late_own_ms"]),
         },
         "ticks": episode["steps"],
-        "skipped_by_us": episode["skipped_steps"],
+        "skipped": episode["skipped_steps"],
+        "skipped_by_us": episode["skipped_own_steps"],
         "missed_by_contestant": episode["missed_ticks"],
         "answer_ms": episode["answer_ms"],
         "termination": episode["termination"],

@@ -5,7 +5,9 @@ The payload is :mod:`crazyarena.mocap.wire`; docs/mocap.md states key and qualit
 
 from __future__ import annotations
 
+import ctypes
 import json
+import threading
 from collections.abc import Sequence
 from typing import Any
 
@@ -65,6 +67,16 @@ def open_session(connect: Sequence[str] = (), listen: Sequence[str] = ()) -> Any
             f"zenoh endpoints connect={list(connect)} listen={list(listen)}: {error}; "
             "write them like tcp/10.0.0.5:7447"
         ) from None
+
+
+def keep_thread_state() -> None:
+    """Keep the interpreter's state of a thread that it did not start, until the thread ends.
+
+    CPython makes one for every call that comes from such a thread and drops it afterwards, and
+    both map memory: then the kernel makes all processors at work on the process forget its
+    addresses, and waits for each of them, although a virtual one may not be running at all.
+    """
+    ctypes.pythonapi.PyGILState_Ensure()
 
 
 class ZenohPublisher:
@@ -141,6 +153,7 @@ class ZenohSource:
 
         self._clock = clock
         self._queue = FrameQueue()
+        self._known = threading.local()
         self._reader = StampReader(clock)
         # Called in zenoh's own thread: handing over through one more thread costs latency.
         handler = zenoh.handlers.Callback(self._receive, indirect=False)
@@ -148,6 +161,9 @@ class ZenohSource:
 
     def _receive(self, sample: Any) -> None:
         received = self._clock.now()
+        if not hasattr(self._known, "thread"):
+            keep_thread_state()
+            self._known.thread = True
         try:
             wire = decode(sample.payload.to_bytes())
         except PayloadError as error:

@@ -339,6 +339,7 @@ class ControlLoop:
             over_period=self._overruns,
             late_ms=percentiles_ms(self._scheduler.lateness),
             skipped_steps=self._scheduler.skipped,
+            skipped_own_steps=self._scheduler.skipped_own,
             late_machine_ms=percentiles_ms(machine),
             late_own_ms=percentiles_ms(own),
             missed_ticks=self._missed,

@@ -28,7 +28,7 @@ from crazyarena.runner.crew import Aborted, Crew, MeasuredTrack, OnPhase, Phase
 from crazyarena.runner.episode import Interrupt
 from crazyarena.runner.injection import Injection
 from crazyarena.runner.moving_gates import MovingGates
-from crazyarena.runner.realtime import quiet_collector, steady
+from crazyarena.runner.realtime import quiet_collector
 from crazyarena.runner.recording import Recorder
 from crazyarena.runner.referee import Event, Referee, Verdict, observation
 from crazyarena.runner.result import (
@@ -41,6 +41,7 @@ from crazyarena.runner.result import (
     TrialResult,
 )
 from crazyarena.runner.scene import scene_update
+from crazyarena.runner.steady import steady
 from crazyarena.runner.tracked_world import TrackedWorld
 from crazyarena.runner.trial import require_firmware
 from crazyarena.runner.world import World
@@ -208,7 +209,7 @@ class FlightTrial:
                 # Before the motors turn: both take long enough to be missed in the air.
                 quiet.enter_context(quiet_collector())
                 if self._steady:
-                    self.in_force = quiet.enter_context(steady())
+                    self.in_force = quiet.enter_context(steady(self._world.clock))
                 if self._crew is not None:
                     self._crew.launch()
                 result, obs = self._run(index, referee, obs, interrupt, recorder)

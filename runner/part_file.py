@@ -10,7 +10,7 @@ import threading
 from collections.abc import Iterable
 from pathlib import Path
 
-from crazyarena.runner.realtime import is_raised, raise_priority
+from crazyarena.runner.realtime import SERVING, is_raised, raise_priority
 
 _PATIENCE = 30.0  # s for the disk to take the rest
 
@@ -51,7 +51,7 @@ class PartFile:
 
     def _run(self) -> None:
         if self._raised:
-            raise_priority()
+            raise_priority(SERVING)
         while (data := self._queue.get()) is not None:
             left = memoryview(data)
             while left and self.trouble is None:

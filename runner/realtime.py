@@ -1,4 +1,4 @@
-"""Keeps the runner's own ticks free of what would delay them.
+"""What keeps ticks free of delays, piece by piece: all of it is put together in ``steady``.
 
 The collector is frozen and off, memory is locked (no page faults), the control thread runs in
 front of ordinary ones, and processors stay awake; the last three as far as the system allows.
@@ -14,14 +14,26 @@ import sys
 from collections.abc import Iterator
 
 _CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4
+# Of mallopt(3), with the C library's defaults.
+_TRIM_THRESHOLD, _MMAP_MAX = -1, -4
+_USUAL_TRIM_THRESHOLD, _USUAL_MMAP_MAX = 128 * 1024, 65536
 _DMA_LATENCY = "/dev/cpu_dma_latency"
 _SWITCH_INTERVAL = 0.0005  # s
-PRIORITY = 40  # below the watchdog's
+# Priorities of real-time threads, all below the watchdog's: what serves a tick, what ticks (for a
+# moment, and rarely), and what looks out for it.
+SERVING, TICKING, LOOKING_OUT = 40, 41, 42
 
 
 def lock_memory() -> str:
-    """Lock this process's memory; returns what came of it, in words."""
+    """Lock this process's memory and give none of it back; returns what came of it, in words.
+
+    Memory that is mapped and unmapped again costs page faults, and the kernel interrupts all
+    processors of the process each time.
+    """
     libc = ctypes.CDLL(None, use_errno=True)
+    if hasattr(libc, "mallopt"):
+        libc.mallopt(_MMAP_MAX, 0)
+        libc.mallopt(_TRIM_THRESHOLD, -1)
     if libc.mlockall(_CURRENT | _FUTURE | _ON_FAULT) == 0:
         return "memory locked"
     reason = os.strerror(ctypes.get_errno())
@@ -33,23 +45,27 @@ def lock_memory() -> str:
 
 def unlock_memory() -> None:
     """Undo :func:`lock_memory`."""
-    ctypes.CDLL(None).munlockall()
+    libc = ctypes.CDLL(None)
+    libc.munlockall()
+    if hasattr(libc, "mallopt"):
+        libc.mallopt(_MMAP_MAX, _USUAL_MMAP_MAX)
+        libc.mallopt(_TRIM_THRESHOLD, _USUAL_TRIM_THRESHOLD)
 
 
-def raise_priority(inherit: bool = False) -> str:
+def raise_priority(priority: int, inherit: bool = False) -> str:
     """Schedule the calling thread in real time; returns what came of it, in words.
 
     What it starts from now on is scheduled as usual, or likewise with ``inherit``.
     """
     try:
         policy = os.SCHED_FIFO if inherit else os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-        os.sched_setscheduler(0, policy, os.sched_param(PRIORITY))
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
     except (OSError, AttributeError) as error:
         return (
             f"ordinary scheduling ({error}): other programs may delay ticks. "
             "Allow it: rtprio 50 for this user in /etc/security/limits.conf"
         )
-    return f"SCHED_FIFO {PRIORITY}"
+    return f"SCHED_FIFO {priority}"
 
 
 def is_raised() -> bool:
@@ -101,18 +117,3 @@ def quiet_collector() -> Iterator[None]:
         sys.setswitchinterval(interval)
         gc.enable()
         gc.unfreeze()
-
-
-@contextlib.contextmanager
-def steady() -> Iterator[list[str]]:
-    """Lock memory, raise the priority and keep processors awake inside the ``with`` block.
-
-    Yields what is in force.
-    """
-    notes = [lock_memory(), raise_priority()]
-    try:
-        with wide_awake() as note:
-            yield [*notes, note]
-    finally:
-        lower_priority()
-        unlock_memory()

@@ -28,6 +28,7 @@ class EpisodeResult:
     collisions and violations count control steps; compute_ms are percentiles of the wall time
     of ``cmdFirmware``; late_ms of the start of control steps, of which late_machine_ms is what
     the machine caused by waking the loop late, and late_own_ms the rest (wall time only);
+    skipped_own_steps: skipped steps that the machine is not known to have caused;
     answer_ms from question to answer.
     missed_ticks: control steps in which no command of the contestant was applied;
     late_commands: commands applied at a later tick than their own; phases: s by name.
@@ -52,6 +53,7 @@ class EpisodeResult:
     over_period: int
     late_ms: dict[str, float]
     skipped_steps: int
+    skipped_own_steps: int = 0
     late_machine_ms: dict[str, float] = field(default_factory=dict)
     late_own_ms: dict[str, float] = field(default_factory=dict)
     missed_ticks: int = 0

@@ -15,6 +15,11 @@ class Scheduler:
     A wake-up that is late by a whole period or more does not lead to a burst of steps: the
     missed ones are skipped and counted, and ``step`` stays the number of periods since the start.
 
+    Attributes
+    ----------
+    skipped: steps that were skipped; skipped_own: those of them that would have been without what
+        the machine is known to have caused.
+
     Parameters
     ----------
     clock: what time to wait for.
@@ -35,7 +40,7 @@ class Scheduler:
         """Begin a new time line now: step 0 is due at once. Lateness records are dropped."""
         self.t0 = self._clock.now()
         self.step = 0
-        self.skipped = 0
+        self.skipped = self.skipped_own = 0
         self._count = 0
 
     def deadline(self, step: int) -> float:
@@ -45,15 +50,18 @@ class Scheduler:
     def wait(self) -> float:
         """Wait for the next step and return how late it starts (s)."""
         step = self.step + 1
-        late = self._clock.sleep_until(self.t0 + step / self._rate)
-        if late * self._rate >= 1.0:
-            missed = int(late * self._rate)
+        late = self._clock.sleep_until(self.deadline(step))
+        machine = np.nan if self._stamped is None else self._stamped.machine_late
+        missed = int(late * self._rate)
+        if missed:
             step += missed
             self.skipped += missed
+            self.skipped_own += missed if np.isnan(machine) else int((late - machine) * self._rate)
         self.step = step
+        if self._stamped is not None:
+            self._stamped.expect(self.deadline(step + 1))
         if self._count == len(self._late):
             self._late = np.concatenate([self._late, np.zeros_like(self._late)])
-        machine = np.nan if self._stamped is None else self._stamped.machine_late
         self._late[self._count] = late, machine
         self._count += 1
         return late

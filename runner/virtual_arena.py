@@ -30,7 +30,7 @@ from crazyarena.errors import BackendError
 from crazyarena.levels import dump_level, load_level
 from crazyarena.levels.draw import LevelRandom
 from crazyarena.levels.schema import Level
-from crazyarena.runner.realtime import lower_priority, raise_priority
+from crazyarena.runner.realtime import SERVING, lock_memory, lower_priority, raise_priority
 from crazyarena.types import Pose
 
 _START_TIMEOUT = 300.0  # s; the first run compiles
@@ -84,8 +84,9 @@ def _serve(config: dict[str, Any]) -> None:
     swarm.track = track
     for vehicle in swarm.vehicles:
         vehicle.warm_up()
-    # Real vehicles and cameras are never short of processors.
-    raise_priority(inherit=True)
+    # Real vehicles and cameras are never short of processors or memory.
+    lock_memory()
+    raise_priority(SERVING, inherit=True)
     clock = WallClock()
     cameras = SimSource(clock, None, CameraModel(**config["cameras"]), for_cameras)
     publisher = ZenohPublisher(clock, listen=[config["endpoint"]])

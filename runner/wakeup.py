@@ -7,45 +7,47 @@ and only together with the first can the second be judged.
 
 from __future__ import annotations
 
-import ctypes
-import errno
+import contextlib
 import functools
 import math
-from collections.abc import Callable
-from typing import Any
+import select
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from crazyarena.clock import WallClock
+from crazyarena.runner.libc import MONOTONIC, call
+from crazyarena.runner.lookouts import ASLEEP, GENERATION, Lookouts, as_timespec, no_orders
 
-_MONOTONIC = 1
-_ABSOLUTE = 1
-
-Sleep = Callable[[Any, Any], int]
+_POLLIN = 1
+_SLOTS = np.dtype([("fd", "i4"), ("events", "i2"), ("revents", "i2")])
 
 
 @functools.cache
-def _sleeper() -> Sleep | None:
+def _sleeper() -> Callable[..., int] | None:
     """Sleep and stamp without a return to the interpreter; None where there is no such call."""
     from numba import njit
 
-    libc = ctypes.CDLL(None)
     try:
-        nanosleep, gettime = libc.clock_nanosleep, libc.clock_gettime
+        poll, gettime = call("ppoll"), call("clock_gettime")
     except AttributeError:
         return None
-    number, pointer = ctypes.c_int, ctypes.c_void_p
-    nanosleep.argtypes, nanosleep.restype = (number, number, pointer, pointer), number
-    gettime.argtypes, gettime.restype = (number, pointer), number
 
     @njit(nogil=True)  # type: ignore[untyped-decorator]
-    def sleep(until, woke):  # type: ignore[no-untyped-def]
-        result = nanosleep(_MONOTONIC, _ABSOLUTE, until.ctypes, 0)
-        gettime(_MONOTONIC, woke.ctypes)
-        return result
+    def sleep(slots, until, orders, woke):  # type: ignore[no-untyped-def]
+        gettime(MONOTONIC, woke.ctypes)
+        left = (until[0] - woke[0]) * 1_000_000_000 + until[1] - woke[1]
+        if left <= 0:
+            return 0
+        rest = np.array([left // 1_000_000_000, left % 1_000_000_000])
+        orders[ASLEEP] = orders[GENERATION]
+        ready = poll(slots.ctypes, len(slots), rest.ctypes, 0)
+        gettime(MONOTONIC, woke.ctypes)
+        orders[ASLEEP] = 0
+        return ready
 
     past = np.zeros(2, dtype=np.int64)
-    sleep(past, past.copy())
+    sleep(np.zeros(2, _SLOTS).view(np.int64), past, no_orders(), past.copy())
     return sleep  # type: ignore[no-any-return]
 
 
@@ -54,8 +56,8 @@ class StampedClock(WallClock):
 
     Attributes
     ----------
-    machine_late: how late the machine ended the last :meth:`sleep_until`, s; NaN if the deadline
-        had passed before, or the system cannot tell.
+    machine_late: how late the machine ended the last :meth:`sleep_until`, s; if the deadline had
+        passed before, what of that delay the machine has caused; NaN if nobody can tell.
     """
 
     def __init__(self, origin: float | None = None) -> None:
@@ -63,18 +65,73 @@ class StampedClock(WallClock):
         self._sleep = _sleeper()
         self._until = np.zeros(2, dtype=np.int64)
         self._woke = np.zeros(2, dtype=np.int64)
+        # The lookouts', and somebody else's.
+        self._slots = np.zeros(2, _SLOTS)
+        self._slots["fd"] = -1
+        self._slots["events"] = _POLLIN
+        self._numbers = self._slots.view(np.int64)
+        self._lookouts: Lookouts | None = None
+        self._orders = no_orders()
+        self._expected = math.nan
+        self._overslept = math.nan
         self.machine_late = math.nan
+
+    @contextlib.contextmanager
+    def watched(self) -> Iterator[str]:
+        """Have :class:`~.Lookouts` fetch the calling thread when it oversleeps, inside the
+        ``with`` block; yields what is in force."""
+        lookouts = Lookouts()
+        self._lookouts, self._orders = lookouts, lookouts.orders
+        self._slots["fd"][0] = lookouts.descriptor
+        try:
+            yield lookouts.note
+        finally:
+            self._lookouts, self._orders = None, no_orders()
+            self._slots["fd"][0] = -1
+            lookouts.close()
+
+    def expect(self, deadline: float) -> None:
+        """Make ``deadline`` the one that the lookouts know of, before there is time to sleep."""
+        if deadline != self._expected:
+            self._expected = deadline
+            self._overslept = math.nan
+            if self._lookouts is not None:
+                self._lookouts.expect(*as_timespec(self.origin + deadline))
+
+    def doze(self, until: float, descriptor: int) -> None:
+        """Sleep until a time before the expected deadline, or until ``descriptor`` is readable."""
+        if self._sleep is None:
+            waited_for = [descriptor] if descriptor >= 0 else []
+            select.select(waited_for, [], [], max(0.0, until - self.now()))
+        else:
+            self._wait(until, descriptor)
 
     def sleep_until(self, deadline: float) -> float:
         self.machine_late = math.nan
-        sleep = self._sleep
-        if sleep is None:
+        if self._sleep is None:
             return super().sleep_until(deadline)
+        self.expect(deadline)
         if deadline > self.now():
-            self._until[:] = divmod(round((self.origin + deadline) * 1e9), 1_000_000_000)
             # Signals interrupt it; their handlers run here, and may raise.
-            while sleep(self._until, self._woke) == errno.EINTR:
+            while self._wait(deadline, -1) < deadline:
                 pass
-            woke = int(self._woke[0]) + 1e-9 * int(self._woke[1]) - self.origin
-            self.machine_late = max(0.0, woke - deadline)
+        if not math.isnan(self._overslept):
+            self.machine_late = self._overslept
+        elif self._lookouts is not None:
+            late = self._lookouts.late_here()
+            if late is not None:
+                self.machine_late = late
         return max(0.0, self.now() - deadline)
+
+    def _wait(self, until: float, descriptor: int) -> float:
+        self._until[:] = as_timespec(self.origin + until)
+        self._slots["fd"][1] = descriptor
+        self._sleep(self._numbers, self._until, self._orders, self._woke)  # type: ignore[misc]
+        seconds, nanoseconds = self._woke.tolist()
+        woke: float = seconds + 1e-9 * nanoseconds - self.origin
+        if woke >= self._expected:
+            self._overslept = woke - self._expected
+        if self._lookouts is not None and self._slots["revents"][0]:
+            self._slots["revents"][0] = 0
+            self._lookouts.release()
+        return woke

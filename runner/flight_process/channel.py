@@ -21,6 +21,7 @@ class Receiver:
         self._poll = select.poll()
         self._poll.register(connection, select.POLLIN)
         self._buffer = bytearray()
+        self._chunk = memoryview(bytearray(_CHUNK))
 
     def receive(self, timeout: float | None = 0.0) -> list[bytes]:
         """Every message that has arrived, waiting up to ``timeout`` s (None: for ever) if
@@ -41,16 +42,16 @@ class Receiver:
         gone = False
         while True:
             try:
-                chunk = self._socket.recv(_CHUNK, socket.MSG_DONTWAIT)
+                length = self._socket.recv_into(self._chunk, 0, socket.MSG_DONTWAIT)
             except BlockingIOError:
                 break
             except OSError:
-                chunk = b""
-            if not chunk:
+                length = 0
+            if not length:
                 gone = True
                 break
-            self._buffer += chunk
-            if len(chunk) < _CHUNK:
+            self._buffer += self._chunk[:length]
+            if length < _CHUNK:
                 break
         messages = self._cut()
         if gone and not messages:

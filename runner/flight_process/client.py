@@ -48,6 +48,8 @@ _BACKLOG = 50_000  # bytes: more than comes in any ordinary wait
 _NEXT = 0.01  # s, for the rest of a backlog to follow
 # How long before a deadline the clock turns to nothing else, s.
 _ALONE = 0.003
+# The same if it was woken too late for that, s.
+_BARELY = 0.002
 
 
 class FlightProcess:
@@ -98,6 +100,11 @@ class FlightProcess:
     def pid(self) -> int:
         """Process id of the flight process."""
         return self._process.pid
+
+    @property
+    def descriptor(self) -> int:
+        """Readable when something has arrived; -1 when nothing will any more."""
+        return -1 if self.lost is not None else self._socket.fileno()
 
     def await_ready(self) -> None:
         """Wait until everything over there is connected."""
@@ -227,10 +234,14 @@ class FlightClock(StampedClock):
         process, pipeline = self.process, self.pipeline
         if process is None or pipeline is None:
             return super().sleep_until(deadline)
+        self.expect(deadline)
         process.sign_of_life(self.now())
-        while (left := deadline - _ALONE - self.now()) > 0.0:
-            pipeline.poll(min(left, _SIGN_OF_LIFE))
-            process.sign_of_life(self.now())
+        while (now := self.now()) < deadline - _ALONE:
+            if not process.frames:
+                self.doze(min(deadline - _ALONE, now + _SIGN_OF_LIFE), process.descriptor)
+            if self.now() < deadline - _BARELY:
+                pipeline.poll()
+                process.sign_of_life(self.now())
         late = super().sleep_until(deadline)
         pipeline.poll()
         return late

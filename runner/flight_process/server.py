@@ -25,7 +25,7 @@ from crazyarena.errors import CrazyarenaError
 from crazyarena.runner.flight_process import wire
 from crazyarena.runner.flight_process.channel import PatientSender, Receiver
 from crazyarena.runner.hardware import Hardware, HardwareSetup, connect
-from crazyarena.runner.realtime import lock_memory, raise_priority
+from crazyarena.runner.realtime import SERVING, lock_memory, raise_priority
 from crazyarena.runner.stops import StopOptions
 from crazyarena.safety.events import Action
 from crazyarena.sim_backend.firmware.supervisor import INFO_FLYING
@@ -217,7 +217,7 @@ def main(descriptor: int) -> None:
     if setup.real_time:
         # Every thread of it: one that is put aside while it holds the interpreter's lock stops
         # the others. A pose that waits for a processor is an old pose.
-        notes = [lock_memory(), raise_priority(inherit=True)]
+        notes = [lock_memory(), raise_priority(SERVING, inherit=True)]
     try:
         hardware = connect(setup)
     except CrazyarenaError as error:

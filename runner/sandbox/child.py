@@ -21,6 +21,8 @@ from crazyarena.runner.sandbox import limits as limits_module
 from crazyarena.runner.sandbox import namespaces
 from crazyarena.runner.sandbox.files import fill, mount_own
 
+_LONGEST = 1 << 20  # bytes, of what the runner says
+
 
 def _processes_of(uid: int) -> int:
     count = 0
@@ -88,11 +90,13 @@ def main(arguments: list[str]) -> None:
     os.close(own)
 
     pilot: Pilot | None = None
+    # A buffer for each message would be mapped and unmapped at each tick.
+    buffer = memoryview(bytearray(_LONGEST))
     while True:
-        packet = channel.recv(1 << 20)
-        if not packet:
+        length = channel.recv_into(buffer)
+        if not length:
             os._exit(0)
-        verb, payload = pickle.loads(packet)
+        verb, payload = pickle.loads(buffer[:length])
         if verb == "load":
             try:
                 pilot = Pilot(Submission(copy, work))

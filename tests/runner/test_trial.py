@@ -6,12 +6,10 @@ import sys
 import numpy as np
 import pytest
 
-from crazyarena.clock import VirtualClock
 from crazyarena.crazyswarm_compat import commands as cs
 from crazyarena.errors import DependencyMissing, InputError
 from crazyarena.levels import load_level
 from crazyarena.runner.contestant import Submission
-from crazyarena.runner.scheduler import Scheduler
 from crazyarena.runner.trial import Trial
 from tests.runner.fakes import PathWorld, controller
 
@@ -259,41 +257,6 @@ def test_drawing_has_a_client(fly):
         init="draw_trajectory(initial_info, [[0, 0, 1]], [0.0] * 60, [1.0] * 60, [1.0] * 60)"
     )
     assert fly(source, episodes=1)[0].clean
-
-
-class TestScheduler:
-    def test_deadlines_are_absolute(self):
-        clock = VirtualClock()
-        clock.sleep_until(5.0)
-        scheduler = Scheduler(clock, 30.0)
-        for _ in range(3000):
-            scheduler.wait()
-        assert clock.now() == 5.0 + 3000 / 30.0
-        assert scheduler.step == 3000
-        assert scheduler.lateness.max() == 0.0
-        assert len(scheduler.lateness) == 3000
-
-    def test_late_wake_ups_are_recorded_and_whole_periods_skipped(self):
-        class Slow:
-            time = 0.0
-
-            def now(self):
-                return self.time
-
-            def sleep_until(self, deadline):
-                self.time = max(self.time, deadline)
-                return self.time - deadline
-
-        clock = Slow()
-        scheduler = Scheduler(clock, 10.0)
-        clock.time = 0.15
-        assert scheduler.wait() == pytest.approx(0.05)
-        assert (scheduler.step, scheduler.skipped) == (1, 0)
-        clock.time = 0.55
-        scheduler.wait()
-        assert (scheduler.step, scheduler.skipped) == (5, 3)
-        scheduler.wait()
-        assert clock.time == pytest.approx(0.6)
 
 
 def test_result_is_plain_data(fly):

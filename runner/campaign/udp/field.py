@@ -32,7 +32,7 @@ from crazyarena.runner.campaign.plan import Plan, draw_plan
 from crazyarena.runner.campaign.setting import LAND_TIME, MISSION, PATIENCE, VEHICLE
 from crazyarena.runner.campaign.udp.devices import LOOK_MS, ArenaCameras, FaultyRadio, Witness
 from crazyarena.runner.json_child import Message, Tell, converse
-from crazyarena.runner.realtime import raise_priority
+from crazyarena.runner.realtime import SERVING, raise_priority
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.monitors import CRASHED, LOCKED
 from crazyarena.sim_backend.arena import ArenaFleet
@@ -193,7 +193,7 @@ def _serve(heard: queue.Queue[Message | None], tell: Tell) -> None:
     for vehicle in swarm.vehicles:
         vehicle.warm_up()
     # Real vehicles and cameras are never short of processors.
-    raise_priority(inherit=True)
+    raise_priority(SERVING, inherit=True)
     clock = WallClock()
     model = CameraModel(rate=_CAMERA_RATE)
     source = SimSource(clock, None, model, np.random.default_rng([seed, 2]))

@@ -31,10 +31,11 @@ from crazyarena.runner.campaign.setting import BODY, LAND_TIME, MISSION, RATE, V
 from crazyarena.runner.crew import Crew, Timeouts
 from crazyarena.runner.flight_process.client import connected
 from crazyarena.runner.json_child import Message, Tell, converse
-from crazyarena.runner.realtime import quiet_collector, steady
+from crazyarena.runner.realtime import quiet_collector
 from crazyarena.runner.rig import Rig
 from crazyarena.runner.safeguard import limits_for
 from crazyarena.runner.scheduler import Scheduler
+from crazyarena.runner.steady import steady
 from crazyarena.runner.tracked_world import TrackedWorld
 from crazyarena.safety.events import SafetyEvent
 from crazyarena.safety.limits import PID_BRAKING, Limits
@@ -184,7 +185,7 @@ def _run(heard: queue.Queue[Message | None], tell: Tell) -> None:
         body=BODY,
         limits=_limits(level, plan),
     )
-    with contextlib.closing(rig), quiet_collector(), steady():
+    with contextlib.closing(rig), quiet_collector(), steady(rig.clock):
         _ready(rig, level, plan)
         station = Station(config["fault"], plan, rig)
         tell({"ready": True})
