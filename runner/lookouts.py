@@ -25,8 +25,8 @@ from crazyarena.runner.libc import MONOTONIC, call
 from crazyarena.runner.realtime import LOOKING_OUT, is_raised, raise_priority
 
 _MOST = 4
-_GRACE = 0.00015  # s that a sleeper has to get up by itself
-_APART = 0.0001  # s between the lookouts, of which one is enough
+_GRACE = 0.0001  # s that a sleeper has to get up by itself
+_APART = 0.00005  # s between the lookouts, of which one is enough
 _MASK_WORDS = 16  # 1024 processors
 _FAR = 1 << 40  # s
 _NOT_YET = -1

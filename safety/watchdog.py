@@ -247,6 +247,11 @@ class Watchdog:
         """Whether this vehicle flies, as far as anybody knows."""
         return self._by_vehicle[vehicle].airborne
 
+    def settling(self, vehicle: int) -> bool:
+        """Whether it is low and still, but not for long enough to count as down."""
+        watched = self._by_vehicle[vehicle]
+        return watched.airborne and watched.still_since is not None
+
     def over(self, vehicle: int) -> bool:
         """The watchdog has brought this vehicle to a safe end."""
         return self._by_vehicle[vehicle].guard.ladder.over

@@ -47,9 +47,9 @@ _SIGN_OF_LIFE = 0.2  # s
 _BACKLOG = 50_000  # bytes: more than comes in any ordinary wait
 _NEXT = 0.01  # s, for the rest of a backlog to follow
 # How long before a deadline the clock turns to nothing else, s.
-_ALONE = 0.003
+_ALONE = 0.006
 # The same if it was woken too late for that, s.
-_BARELY = 0.002
+_BARELY = 0.005
 
 
 class FlightProcess:

@@ -28,7 +28,6 @@ from crazyarena.runner.hardware import Hardware, HardwareSetup, connect
 from crazyarena.runner.realtime import SERVING, lock_memory, raise_priority
 from crazyarena.runner.stops import StopOptions
 from crazyarena.safety.events import Action
-from crazyarena.sim_backend.firmware.supervisor import INFO_FLYING
 
 READY = 1  # number of the reply that says that everything is connected
 STATUS_PERIOD = 0.02  # s
@@ -36,6 +35,7 @@ SILENCE = 2.0  # s without a word of the runner, after which a vehicle in the ai
 _FAREWELL = 10.0  # s for the runner to take notice of a landing after SIGTERM
 _LOOK = 0.1  # s, between looks whether to end
 _SENDING = 0.2  # s for the last packet to leave
+_SETTLING = 2.0  # s for a vehicle that has come down to stand still
 # Answered in a thread of their own: they wait for the vehicle, or for people's devices.
 _SLOW = ("get_param", "hand_over", "open_stops", "open_keys", "close_keys")
 
@@ -172,9 +172,10 @@ class FlightServer:
         vehicle = self._setup.vehicle
         # A crew that has done its work says that it is gone before the watchdog believes that
         # the vehicle stands.
-        flags = self._hardware.backend.telemetry(vehicle).supervisor
-        down = orderly and flags is not None and not flags & INFO_FLYING
-        if self._airborne() and not down:
+        end = clock.now() + _SETTLING
+        while orderly and guard.watchdog.settling(vehicle) and clock.now() < end:
+            clock.sleep_until(clock.now() + STATUS_PERIOD)
+        if self._airborne():
             _say("the runner is gone: landing the vehicle")
             self._land("runner_gone")
             limits = guard.watchdog.limits

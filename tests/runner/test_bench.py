@@ -26,6 +26,8 @@ def test_a_slow_controller_is_as_slow_in_the_dry_run(tmp_path):
     out = tmp_path / "out"
     process = crazyarena("bench", entry, "--out", out, "--no-figure", *sets(EMPTY))
     printed, _ = process.communicate(timeout=300)
+    # A vehicle that the crew has brought down needs nobody to land it.
+    assert "the runner is gone" not in printed
     episodes = []
     for name in ("dry_00", "bench_00"):
         document = json.loads((out / name / "result.json").read_text())
