@@ -7,7 +7,8 @@ their own: ``sleep(1/30 - elapsed)``, and one that remembers when it should have
 
 ``late`` is tick k against t0 + k/30, in ms. Of ours, ``machine`` is how late the wake-up itself
 was and ``ours`` the rest, up to the first line of Python; ticks that were skipped are ours unless
-the processor we ran on is known to have stood still. The plain loops are alone in their
+the processor we ran on is known to have stood still. ``standstill`` is how long after a tick no
+processor at all was awake, which no program can make up for. The plain loops are alone in their
 processes, so that theirs is the machine's. The naive loop drifts, which is most of its
 lateness; ``period`` compares every tick with the one before it instead. Run
 ``python benchmarks/scheduler.py [--minutes 10] [--only idle|loaded]``.
@@ -176,6 +177,7 @@ def measure(seconds: float, loaded: bool) -> dict[str, Any]:
             "late": shown(episode["late_ms"]),
             "machine": shown(episode["late_machine_ms"]),
             "ours": shown(episode["late_own_ms"]),
+            "standstill": shown(episode["standstill_ms"]),
         },
         "ticks": episode["steps"],
         "skipped": episode["skipped_steps"],

@@ -342,6 +342,7 @@ class ControlLoop:
             skipped_own_steps=self._scheduler.skipped_own,
             late_machine_ms=percentiles_ms(machine),
             late_own_ms=percentiles_ms(own),
+            standstill_ms=percentiles_ms(self._scheduler.standstill),
             missed_ticks=self._missed,
             late_commands=self._late,
             answer_ms=percentiles_ms(np.array(self._seconds)),

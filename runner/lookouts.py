@@ -88,7 +88,18 @@ def _look_out() -> Callable[..., None] | None:
                 move(orders[SLEEPER], mask_size, mask.ctypes)
                 write(descriptor, one.ctypes, 8)
 
+    # Compiled here and now: one that finds its orders to stop does nothing else.
+    post, numbers, stop = call("sem_post"), np.zeros((2, 4), dtype=np.int64), no_orders()
+    stop[STOP] = 1
+    call("sem_init")(numbers[0].ctypes.data, 0, 0)
+    post(numbers[0].ctypes.data)
+    look_out(stop, numbers[0], numbers[1, :2], np.zeros(_MASK_WORDS, dtype=np.uint64), -1, 0)
     return look_out  # type: ignore[no-any-return]
+
+
+def prepare() -> None:
+    """Do now what takes the first lookouts a second."""
+    _look_out()
 
 
 class Lookouts:
@@ -135,7 +146,7 @@ class Lookouts:
             )
             thread.start()
             self._threads.append(thread)
-        # The first ones are compiled, and none of them needs the interpreter from here on.
+        # None of them needs the interpreter from here on.
         pause = threading.Event()
         while (self._woke[:, 0] == _NOT_YET).any():
             pause.wait(0.001)
@@ -191,8 +202,13 @@ class Lookouts:
         if processor not in self._chosen:
             return None
         generation, late = self._woke[self._chosen.index(processor)].tolist()
-        # Nobody has got up since it started, or not yet for this deadline.
         return 1e-9 * late if generation and generation == self.orders[GENERATION] else None
+
+    def first_awake(self) -> float:
+        """How long after the present deadline the first lookout was up, s; inf if none is yet."""
+        grace = _GRACE + _APART * np.arange(len(self._woke))
+        noted = self._woke[:, 0] == self.orders[GENERATION]
+        return float(np.min((1e-9 * self._woke[:, 1] + grace)[noted], initial=np.inf))
 
     def close(self) -> None:
         """Let the lookouts go. Idempotent."""

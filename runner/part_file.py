@@ -33,15 +33,13 @@ class PartFile:
         self.path = path
         self.trouble: OSError | None = None
         self._stream = open(path, "wb", buffering=0)  # noqa: SIM115 - closed by close()
-        # Not to be put aside by other programs while it holds the interpreter's lock.
-        self._raised = is_raised()
-        self._queue: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[tuple[bytes, bool] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
 
     def append(self, pieces: Iterable[bytes | memoryview]) -> None:
         """Write as soon as the disk can; returns at once."""
-        self._queue.put(b"".join(pieces))
+        self._queue.put((b"".join(pieces), is_raised()))
 
     def close(self) -> None:
         """Wait until everything is written. Idempotent."""
@@ -50,9 +48,13 @@ class PartFile:
         self._stream.close()
 
     def _run(self) -> None:
-        if self._raised:
-            raise_priority(SERVING)
-        while (data := self._queue.get()) is not None:
+        in_flight = False
+        while (item := self._queue.get()) is not None:
+            data, raised = item
+            if raised and not in_flight:
+                # Not to be put aside by other programs while it holds the interpreter's lock.
+                in_flight = True
+                raise_priority(SERVING)
             left = memoryview(data)
             while left and self.trouble is None:
                 try:

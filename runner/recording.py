@@ -190,6 +190,10 @@ class Recorder:
         self._flush_period = flush_period
         self._flushed_at = wall.now()
         self._part: PartFile | None = None
+        if file is not None:
+            # Now, and not in flight: a thread is confined as the one that starts it.
+            self._part = PartFile(file.with_name(file.name + ".part"))
+            self._part.append([mcap_file.preamble(CHANNELS, "crazyarena")])
         self._states = Rows(TRACE_SIZE, 17408)
         self._commands = Rows(COMMAND_SIZE, 1024)
         self._verdicts = Rows(verdict_row.SIZE, 1024)
@@ -281,18 +285,15 @@ class Recorder:
 
     def flush(self) -> None:
         """Append what is not on disk yet to the ``.part`` file; nobody waits for the disk."""
-        if self.file is None:
-            return
         if self._part is None:
-            self._part = PartFile(self.file.with_name(self.file.name + ".part"))
-            self._part.append([mcap_file.preamble(CHANNELS, "crazyarena")])
+            return
         counts = self._counts()
         self._part.append(batch.data for batch in self._batches(self._on_disk, counts))
         self._on_disk = counts
 
     def close(self) -> None:
         """Write the finished file and drop the ``.part`` file. Idempotent."""
-        if self._closed or self.file is None:
+        if self._closed or self.file is None or self._part is None:
             return
         self._closed = True
         counts = self._counts()
@@ -306,9 +307,8 @@ class Recorder:
             writer.chunk(self._batches([0] * len(CHANNELS), counts))
             writer.finish()
         os.replace(unfinished, self.file)
-        if self._part is not None:
-            self._part.close()
-            self._part.path.unlink()
+        self._part.close()
+        self._part.path.unlink()
 
     # What figures and reports need of the flight just recorded.
     @property

@@ -27,7 +27,8 @@ class EpisodeResult:
     flight_time is that of the last control step's start, as the competition counts it.
     collisions and violations count control steps; compute_ms are percentiles of the wall time
     of ``cmdFirmware``; late_ms of the start of control steps, of which late_machine_ms is what
-    the machine caused by waking the loop late, and late_own_ms the rest (wall time only);
+    the machine caused by waking the loop late, and late_own_ms the rest, and standstill_ms
+    how long after it no processor of the machine was awake (wall time only);
     skipped_own_steps: skipped steps that the machine is not known to have caused;
     answer_ms from question to answer.
     missed_ticks: control steps in which no command of the contestant was applied;
@@ -56,6 +57,7 @@ class EpisodeResult:
     skipped_own_steps: int = 0
     late_machine_ms: dict[str, float] = field(default_factory=dict)
     late_own_ms: dict[str, float] = field(default_factory=dict)
+    standstill_ms: dict[str, float] = field(default_factory=dict)
     missed_ticks: int = 0
     late_commands: int = 0
     answer_ms: dict[str, float] = field(default_factory=dict)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crazyarena.clock import Clock
+from crazyarena.runner.rows import Rows
 from crazyarena.runner.wakeup import StampedClock
 
 
@@ -32,8 +33,6 @@ class Scheduler:
         self._clock = clock
         self._rate = rate
         self._stamped = clock if isinstance(clock, StampedClock) else None
-        self._late = np.zeros((1024, 2))
-        self._count = 0
         self.start()
 
     def start(self) -> None:
@@ -41,7 +40,8 @@ class Scheduler:
         self.t0 = self._clock.now()
         self.step = 0
         self.skipped = self.skipped_own = 0
-        self._count = 0
+        # Late, by the machine, standstill.
+        self._ticks = Rows(3, 1024)
 
     def deadline(self, step: int) -> float:
         """Time on the clock at which ``step`` is due, s."""
@@ -51,7 +51,9 @@ class Scheduler:
         """Wait for the next step and return how late it starts (s)."""
         step = self.step + 1
         late = self._clock.sleep_until(self.deadline(step))
-        machine = np.nan if self._stamped is None else self._stamped.machine_late
+        machine = standstill = np.nan
+        if self._stamped is not None:
+            machine, standstill = self._stamped.machine_late, self._stamped.standstill
         missed = int(late * self._rate)
         if missed:
             step += missed
@@ -60,21 +62,24 @@ class Scheduler:
         self.step = step
         if self._stamped is not None:
             self._stamped.expect(self.deadline(step + 1))
-        if self._count == len(self._late):
-            self._late = np.concatenate([self._late, np.zeros_like(self._late)])
-        self._late[self._count] = late, machine
-        self._count += 1
+        self._ticks.next()[:] = late, machine, standstill
         return late
 
     @property
     def lateness(self) -> NDArray[np.float64]:
         """Lateness of every wake-up since :meth:`start`, s."""
-        return self._late[: self._count, 0].copy()
+        return self._ticks.rows[:, 0].copy()
 
     @property
     def shares(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Lateness that the machine caused by waking us late, and what we added ourselves, s;
         of the steps that were slept for, on a clock that can tell."""
-        late, machine = self._late[: self._count].T
+        late, machine, _ = self._ticks.rows.T
         known = ~np.isnan(machine)
         return machine[known], late[known] - machine[known]
+
+    @property
+    def standstill(self) -> NDArray[np.float64]:
+        """How long after a deadline no processor was awake, s; of the same steps."""
+        standstill = self._ticks.rows[:, 2]
+        return standstill[~np.isnan(standstill)]

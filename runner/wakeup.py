@@ -17,7 +17,7 @@ import numpy as np
 
 from crazyarena.clock import WallClock
 from crazyarena.runner.libc import MONOTONIC, call
-from crazyarena.runner.lookouts import ASLEEP, GENERATION, Lookouts, as_timespec, no_orders
+from crazyarena.runner.lookouts import ASLEEP, GENERATION, Lookouts, as_timespec, no_orders, prepare
 
 _POLLIN = 1
 _SLOTS = np.dtype([("fd", "i4"), ("events", "i2"), ("revents", "i2")])
@@ -52,17 +52,21 @@ def _sleeper() -> Callable[..., int] | None:
 
 
 class StampedClock(WallClock):
-    """For one thread. Making the first one takes a second.
+    """For one thread. Making the first one takes seconds.
 
     Attributes
     ----------
     machine_late: how late the machine ended the last :meth:`sleep_until`, s; if the deadline had
         passed before, what of that delay the machine has caused; NaN if nobody can tell.
+    standstill: how long after that deadline no processor that we know of was awake, s: what no
+        program could have made up for; NaN likewise.
     """
 
     def __init__(self, origin: float | None = None) -> None:
         super().__init__(origin)
         self._sleep = _sleeper()
+        if self._sleep is not None:
+            prepare()
         self._until = np.zeros(2, dtype=np.int64)
         self._woke = np.zeros(2, dtype=np.int64)
         # The lookouts', and somebody else's.
@@ -74,12 +78,15 @@ class StampedClock(WallClock):
         self._orders = no_orders()
         self._expected = math.nan
         self._overslept = math.nan
-        self.machine_late = math.nan
+        self.machine_late = self.standstill = math.nan
 
     @contextlib.contextmanager
     def watched(self) -> Iterator[str]:
         """Have :class:`~.Lookouts` fetch the calling thread when it oversleeps, inside the
         ``with`` block; yields what is in force."""
+        if self._sleep is None:
+            yield "nobody looks out for ticks that oversleep: no system call"
+            return
         lookouts = Lookouts()
         self._lookouts, self._orders = lookouts, lookouts.orders
         self._slots["fd"][0] = lookouts.descriptor
@@ -107,7 +114,7 @@ class StampedClock(WallClock):
             self._wait(until, descriptor)
 
     def sleep_until(self, deadline: float) -> float:
-        self.machine_late = math.nan
+        self.machine_late = self.standstill = math.nan
         if self._sleep is None:
             return super().sleep_until(deadline)
         self.expect(deadline)
@@ -115,13 +122,20 @@ class StampedClock(WallClock):
             # Signals interrupt it; their handlers run here, and may raise.
             while self._wait(deadline, -1) < deadline:
                 pass
+        late = max(0.0, self.now() - deadline)
+        self._blame()
+        return late
+
+    def _blame(self) -> None:
+        """Find out who was late."""
+        lookouts = self._lookouts
         if not math.isnan(self._overslept):
             self.machine_late = self._overslept
-        elif self._lookouts is not None:
-            late = self._lookouts.late_here()
-            if late is not None:
-                self.machine_late = late
-        return max(0.0, self.now() - deadline)
+        elif lookouts is not None and (here := lookouts.late_here()) is not None:
+            self.machine_late = here
+        self.standstill = self.machine_late
+        if lookouts is not None:
+            self.standstill = min(self.standstill, lookouts.first_awake())
 
     def _wait(self, until: float, descriptor: int) -> float:
         self._until[:] = as_timespec(self.origin + until)

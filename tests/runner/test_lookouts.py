@@ -75,8 +75,10 @@ def test_how_late_a_processor_was_is_known_after_the_deadline(lookouts):
     while (late := lookouts.late_here()) is None:
         assert time.monotonic() < end
     assert late >= 0.0
+    assert 0.0 < lookouts.first_awake() < float("inf")
     expect(lookouts, 3600.0)
     assert lookouts.late_here() is None
+    assert lookouts.first_awake() == float("inf")
 
 
 def test_leaves_nothing_behind():

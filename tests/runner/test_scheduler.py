@@ -59,6 +59,7 @@ class Told(StampedClock):
     def sleep_until(self, deadline):
         self.time = deadline + self.late
         self.machine_late = self.blamed
+        self.standstill = 0.5 * self.blamed
         return self.late
 
 
@@ -77,6 +78,7 @@ def test_what_the_machine_caused_is_not_ours(blamed, own):
     else:
         assert machine[0] == pytest.approx(blamed)
         assert ours[0] == pytest.approx(0.35 - blamed)
+        assert scheduler.standstill[0] == pytest.approx(0.5 * blamed)
     clock.late = 0.0
     scheduler.wait()
     assert (scheduler.step, scheduler.skipped, scheduler.skipped_own) == (5, 3, own)
