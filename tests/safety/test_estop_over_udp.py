@@ -37,8 +37,9 @@ from crazyarena.safety.fence import Fence
 from crazyarena.safety.gate import CommandGate
 from crazyarena.safety.watchdog import Watchdog
 from crazyarena.types import VehicleState
-from tests.crazyswarm_compat.radio.conftest import Hangar, eventually
+from tests.crazyswarm_compat.radio.conftest import Hangar
 from tests.safety.pad import Pad
+from tests.waiting import eventually
 
 pytestmark = pytest.mark.slow
 SECRET = b"correct horse battery staple"
