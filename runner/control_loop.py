@@ -180,6 +180,9 @@ class ControlLoop:
             late = scheduler.wait()
             if self._watch is not None:
                 self._watch.late(late)
+                if late * self._rate >= 1.0 and self._is_stopped():
+                    # Away for so long, what it sees now is what the watchdog has done.
+                    return SAFETY
             if not applied:
                 self._missed += 1
                 self._consecutive += 1

@@ -9,7 +9,12 @@ import pytest
 
 from crazyarena.runner import export
 from crazyarena.safety.estop_sources import stop_local
-from crazyarena.sim_backend.firmware.supervisor import INFO_ARMED, INFO_FLYING, INFO_LOCKED
+from crazyarena.sim_backend.firmware.supervisor import (
+    INFO_CRASHED,
+    INFO_FLYING,
+    INFO_LOCKED,
+    INFO_TUMBLED,
+)
 from tests.runner.flying import Flying, is_alive
 from tests.waiting import eventually
 
@@ -100,7 +105,9 @@ def test_a_signal_to_the_runner_brings_the_vehicle_home(flying, number):
     assert "return-and-land" in episode["phases"]
     report = flying.vehicle()
     np.testing.assert_allclose(report["position"][:2], [0.0, -0.5], atol=0.2)
-    assert not report["supervisor"] & (INFO_FLYING | INFO_ARMED)
+    # On the ground, where firmware that arms by itself stands ready, and is not locked.
+    assert report["position"][2] < 0.05
+    assert not report["supervisor"] & (INFO_LOCKED | INFO_TUMBLED | INFO_CRASHED)
     assert not is_alive(flying.pilot)
 
 
