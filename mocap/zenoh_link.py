@@ -19,6 +19,8 @@ from crazyarena.mocap.wire import PayloadError, decode, encode
 from crazyarena.types import PoseFrame
 
 DEFAULT_KEY = "crazyarena/mocap/frames"
+# Has an attribute in threads whose state is kept.
+_kept = threading.local()
 
 
 def open_session(connect: Sequence[str] = (), listen: Sequence[str] = ()) -> Any:
@@ -76,7 +78,9 @@ def keep_thread_state() -> None:
     both map memory: then the kernel makes all processors at work on the process forget its
     addresses, and waits for each of them, although a virtual one may not be running at all.
     """
-    ctypes.pythonapi.PyGILState_Ensure()
+    if not hasattr(_kept, "thread"):
+        ctypes.pythonapi.PyGILState_Ensure()
+        _kept.thread = True
 
 
 class ZenohPublisher:
@@ -153,7 +157,6 @@ class ZenohSource:
 
         self._clock = clock
         self._queue = FrameQueue()
-        self._known = threading.local()
         self._reader = StampReader(clock)
         # Called in zenoh's own thread: handing over through one more thread costs latency.
         handler = zenoh.handlers.Callback(self._receive, indirect=False)
@@ -161,9 +164,7 @@ class ZenohSource:
 
     def _receive(self, sample: Any) -> None:
         received = self._clock.now()
-        if not hasattr(self._known, "thread"):
-            keep_thread_state()
-            self._known.thread = True
+        keep_thread_state()
         try:
             wire = decode(sample.payload.to_bytes())
         except PayloadError as error:

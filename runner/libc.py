@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 from typing import Any
 
 MONOTONIC = 1
@@ -20,6 +21,7 @@ _CALLS = {
 }
 
 
+@functools.cache
 def call(name: str) -> Any:
     """The C library's function of that name; raises AttributeError where there is none."""
     function = getattr(ctypes.CDLL(None), name)

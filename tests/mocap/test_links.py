@@ -142,7 +142,7 @@ def check_death_and_return(watched: Watched, feeder, revive) -> None:
         assert pipeline.estimate("cf1").freshness is Freshness.STALE
         revived = revive()
         try:
-            eventually(lambda: "cf1" in pipeline.poses(), 20.0), pipeline.source.status
+            eventually(lambda: "cf1" in pipeline.poses(), 20.0)
             eventually(lambda: EventKind.SOURCE_RECONNECTED in watched.kinds(), 3.0)
             eventually(lambda: EventKind.BODY_RECOVERED in watched.kinds(), 3.0)
         finally:
@@ -273,7 +273,7 @@ def test_malformed_payloads_are_counted_and_dropped():
     before = source.status.malformed
     for bad in (b"", b"CAPF", good[:-1], good[:20] + b"\xff" + good[21:], b"x" * 5000):
         session.put("test/poses", bad)
-    eventually(lambda: source.status.malformed - before == 5), source.status
+    eventually(lambda: source.status.malformed - before == 5)
     assert source.status.state is SourceState.LIVE
     assert "checksum" in (source.status.error or "") or source.status.error
     source.close()

@@ -170,14 +170,14 @@ def test_every_source_is_open_and_says_so(stop, link, terminal, pad, tmp_path, t
         assert [answer for _, answer in stop_local(test=True, folder=tmp_path)] == ["tested"]
         (session,) = stop_over_zenoh(b"not the secret of these", "", [endpoint])
         assert session.startswith("cf1-")
-        eventually(lambda: stops.refused() > 0)
+        eventually(lambda: stops.refused() > 0, 10.0)
         assert not link.stopped.is_set()
         stop_over_zenoh(SECRET, "smoke", [endpoint])
-        eventually(lambda: stop.stopped is not None)
+        eventually(lambda: stop.stopped is not None, 10.0)
         assert stop.stopped.source == "zenoh"
         count = len(link.sent)
         os.write(master, b" ")
-        eventually(lambda: len(link.sent) > count + 15 or stop._thread.is_alive() is False)
+        eventually(lambda: len(link.sent) > count + 15 or stop._thread.is_alive() is False, 10.0)
         pad.press(0x131, 1)
         assert set(link.sent) == {Emergency()}
     finally:
@@ -222,7 +222,7 @@ def test_only_the_chosen_one_holds(by, stop, link, terminal, pad, tmp_path):
             threading.Event().wait(0.3)
             assert stops.dead_man.age() == float("inf")
             pad.press(0x136, 1)
-        eventually(lambda: stops.dead_man.age() < PATIENCE)
+        eventually(lambda: stops.dead_man.age() < PATIENCE, 10.0)
         assert not link.stopped.is_set()
     finally:
         stops.close()
@@ -236,7 +236,7 @@ def test_a_key_here_for_a_dead_man_elsewhere(stop, terminal, tmp_path):
     )
     try:
         os.write(terminal[0], b"h")
-        eventually(lambda: there.dead_man.age() < PATIENCE)
+        eventually(lambda: there.dead_man.age() < PATIENCE, 10.0)
     finally:
         here.close()
         there.close()

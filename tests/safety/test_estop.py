@@ -150,18 +150,18 @@ def test_gamepad_stops_holds_and_may_be_unplugged(stop, link):
     dead_man = DeadMan(WallClock())
     gamepad = GamepadSource(stop, dead_man, pad)
     pad.press(0x136, 1)
-    eventually(lambda: dead_man.age() < 0.5)
+    eventually(lambda: dead_man.age() < 0.5, 10.0)
     pad.press(0x136, 0)
-    eventually(lambda: dead_man.age() == float("inf"))
+    eventually(lambda: dead_man.age() == float("inf"), 10.0)
     pad.press(0x136, 1)
-    eventually(lambda: dead_man.age() < 0.5)
+    eventually(lambda: dead_man.age() < 0.5, 10.0)
     pad.press(0x130, 1)
     assert not link.stopped.is_set()
     pad.press(0x131, 1)
     assert link.stopped.wait(PATIENCE)
     assert stop.stopped.source == "gamepad"
     pad.unplug()
-    eventually(lambda: dead_man.age() == float("inf"))
+    eventually(lambda: dead_man.age() == float("inf"), 10.0)
     gamepad.close()
 
 
@@ -230,10 +230,10 @@ def test_interrupt_lands_and_once_more_stops():
     before = signal.getsignal(signal.SIGINT)
     with interrupt_policy(landed.append, lambda *why: stopped.append(why)):
         os.kill(os.getpid(), signal.SIGINT)
-        eventually(lambda: landed == ["SIGINT"])
+        eventually(lambda: landed == ["SIGINT"], 10.0)
         assert stopped == []
         os.kill(os.getpid(), signal.SIGTERM)
-        eventually(lambda: stopped == [("signal", "SIGTERM")])
+        eventually(lambda: stopped == [("signal", "SIGTERM")], 10.0)
     assert signal.getsignal(signal.SIGINT) is before
 
 
@@ -320,7 +320,7 @@ def test_zenoh_stop_needs_the_token(stop, link):
     try:
         assert stop_over_zenoh(None, "forged", [endpoint]) == [source.check.session]
         assert stop_over_zenoh(b"guessed, not known at all", "forged", [endpoint])
-        eventually(lambda: source.check.refused >= 2)
+        eventually(lambda: source.check.refused >= 2, 10.0)
         assert not link.stopped.is_set()
         assert stop_over_zenoh(SECRET, "smoke", [endpoint]) == [source.check.session]
         assert link.stopped.wait(PATIENCE)

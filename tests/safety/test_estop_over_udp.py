@@ -59,7 +59,7 @@ def flying(toc):
     hangar.feed(backend)
     stop = EmergencyStop([backend], WallClock())
     try:
-        eventually(lambda: hangar.info() & (1 << 3))
+        eventually(lambda: hangar.info() & (1 << 3), 5.0)
         backend.send(c.Takeoff(0.6, 1.0), 1)
         eventually(lambda: hangar.position(1)[2] > 0.4, 20.0)
         yield SimpleNamespace(hangar=hangar, backend=backend, stop=stop)
@@ -109,7 +109,7 @@ def test_zenoh_with_token_and_not_without(flying):
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     source = ZenohSource(flying.stop, TokenCheck(SECRET), listen=[endpoint])
     stop_over_zenoh(b"this is not the right secret", "", [endpoint])
-    eventually(lambda: source.check.refused > 0)
+    eventually(lambda: source.check.refused > 0, 5.0)
     assert not flying.hangar.info() & LOCKED
     assert flying.hangar.fleet.rows(0).motors.any()
     stop_over_zenoh(SECRET, "", [endpoint])
@@ -121,7 +121,7 @@ def test_second_interrupt(flying):
     landing = []
     with interrupt_policy(landing.append, flying.stop.trigger):
         os.kill(os.getpid(), signal.SIGINT)
-        eventually(lambda: landing)
+        eventually(lambda: landing, 5.0)
         assert not flying.hangar.info() & LOCKED
         os.kill(os.getpid(), signal.SIGINT)
         motors_are_cut(flying)
@@ -167,7 +167,7 @@ def guarded(toc):
         fastest=lambda: fastest,
     )  # fmt: skip
     try:
-        eventually(lambda: hangar.info() & (1 << 3))
+        eventually(lambda: hangar.info() & (1 << 3), 5.0)
         watchdog.start()
         yield world
     finally:
@@ -197,7 +197,7 @@ def held(press):
 
 def letting_go_lands(world, holding) -> None:
     with holding:
-        eventually(lambda: world.dead_man.age() < 0.3)
+        eventually(lambda: world.dead_man.age() < 0.3, 5.0)
         world.gate.runner.send(c.Takeoff(0.8, 1.5), 1)
         eventually(lambda: world.hangar.position(1)[2] > 0.6, 20.0)
         assert world.watchdog.action(1) <= Action.WARN
@@ -278,7 +278,7 @@ def test_a_flood_of_garbage_and_busy_processors_do_not_hold_a_stop_up(flying, tm
             capture_output=True, text=True, timeout=120,
         )  # fmt: skip
         assert result.returncode == 0, result.stdout + result.stderr
-        eventually(lambda: flying.stop.stopped is not None)
+        eventually(lambda: flying.stop.stopped is not None, 5.0)
         assert flying.stop.stopped.source == "zenoh"
         assert flying.stop.stopped.reason == "in a flood"
         motors_are_cut(flying)

@@ -172,7 +172,7 @@ class TestStops:
         eventually(lambda: hangar.info() & LOCKED, 1.0)
         assert time.monotonic() - before < 0.5
         statistics = backend.statistics(1).lanes[Lane.EMERGENCY]
-        eventually(lambda: backend.statistics(1).lanes[Lane.EMERGENCY].sent >= 15)
+        eventually(lambda: backend.statistics(1).lanes[Lane.EMERGENCY].sent >= 15, 5.0)
         assert statistics.max_age < 0.1
         # Nothing brings it back.
         backend.send(c.Takeoff(0.8, 1.5))

@@ -110,16 +110,16 @@ class TestLinkLoss:
         backend.take_events()
         start = backend.clock.now()
         hangar.server.cut(1.5)
-        eventually(lambda: not backend.connected(1))
+        eventually(lambda: not backend.connected(1), 5.0)
         noticed = backend.clock.now() - start
         assert 0.3 < noticed < 1.2
-        eventually(lambda: backend.connected(1))
+        eventually(lambda: backend.connected(1), 5.0)
         kinds = [type(event) for event in backend.take_events()]
         assert kinds == [LinkLost, LinkUp]
 
     def test_sending_neither_blocks_nor_raises_without_a_vehicle(self, world):
         hangar, backend = world(options=RadioOptions(link_timeout=0.3))
-        eventually(lambda: backend.telemetry(1).battery is not None)
+        eventually(lambda: backend.telemetry(1).battery is not None, 5.0)
         hangar.server.close()
         worst = 0.0
         for k in range(100):
@@ -131,7 +131,7 @@ class TestLinkLoss:
             worst = max(worst, time.perf_counter() - before)
             time.sleep(0.005)
         backend.send(c.Emergency())
-        eventually(lambda: not backend.connected(1))
+        eventually(lambda: not backend.connected(1), 5.0)
         assert worst < 0.25
         assert backend.telemetry(1).battery is not None  # the last word stays
         assert events(backend, LinkLost)
@@ -145,7 +145,7 @@ class TestLinkLoss:
         backend = RadioBackend(hangar.config(), WallClock(), options)
         try:
             hangar.close()
-            eventually(lambda: not backend.connected(1))
+            eventually(lambda: not backend.connected(1), 5.0)
             hangar = Hangar(1, port)
             eventually(lambda: backend.connected(1), 15.0)
             kinds = [type(event) for event in backend.take_events()]
@@ -285,14 +285,14 @@ class TestUploads:
         before = time.perf_counter()
         backend.send(c.UploadTrajectory(1, 0, self.pieces), 1)
         assert time.perf_counter() - before < 0.1
-        eventually(lambda: events(backend, TrajectoryUploaded))
+        eventually(lambda: events(backend, TrajectoryUploaded), 5.0)
 
 
 class TestRefusals:
     def test_a_command_that_the_vehicle_refuses_is_reported(self, world):
         hangar, backend = world(fed=False)
         backend.send(c.Emergency(), 1)
-        eventually(lambda: hangar.info() & LOCKED)
+        eventually(lambda: hangar.info() & LOCKED, 5.0)
         backend.send(c.Takeoff(1.0, 1.0), 1)
         (event,) = events(backend, CommandLost)
         assert (event.verb, event.reason) == ("takeoff", "emergency stop")
@@ -301,9 +301,9 @@ class TestRefusals:
         hangar, backend = world(fed=False)
         # Disarmed: the supervisor does not let it fly.
         backend.send(c.Arm(False), 1)
-        eventually(lambda: not hangar.info() & 2)
+        eventually(lambda: not hangar.info() & 2, 5.0)
         backend.send(c.Takeoff(1.0, 1.0), 1)
-        eventually(lambda: backend.statistics(1).lanes[Lane.COMMAND].sent >= 1)
+        eventually(lambda: backend.statistics(1).lanes[Lane.COMMAND].sent >= 1, 5.0)
         time.sleep(0.3)
         refused = events(backend, CommandRefused)
         if not refused:  # it armed itself again, as a vehicle with automatic arming does
@@ -318,7 +318,7 @@ class TestGroups:
         backend.prepare()
         backend.send(c.SetGroupMask(2), 2)
         backend.send(c.SetParam("hlCommander.groupmask", 1), 1)
-        eventually(lambda: hangar.fleet.get_param(1, "hlCommander.groupmask") == 2)
+        eventually(lambda: hangar.fleet.get_param(1, "hlCommander.groupmask") == 2, 5.0)
         backend.send(c.Takeoff(0.5, 1.0, group_mask=2))
         time.sleep(1.5)
         assert hangar.position(1)[2] < 0.1
@@ -340,7 +340,7 @@ class TestPoses:
         assert statistics.overwritten > 150
         assert statistics.max_age < 0.2
         flight = hangar.server.swarm.vehicles[0].flight
-        eventually(lambda: flight.measured is not None and flight.measured[0][0] > 0.29)
+        eventually(lambda: flight.measured is not None and flight.measured[0][0] > 0.29, 5.0)
 
     def test_packed_and_peers(self, world):
         hangar, backend = world(2, options=RadioOptions(poses="packed"), fed=False)
@@ -349,7 +349,7 @@ class TestPoses:
         flight = hangar.server.swarm.vehicles[0].flight
         flight.peer_position = lambda peer, position: heard.append((peer, position))
         backend.send_external_poses({1: Pose(np.zeros(3)), 2: Pose(np.array([1.0, 2.0, 3.0]))})
-        eventually(lambda: heard)
+        eventually(lambda: heard, 5.0)
         assert heard[0][0] == 2
         assert heard[0][1] == pytest.approx((1.0, 2.0, 3.0))
         assert flight.measured is not None
@@ -358,7 +358,7 @@ class TestPoses:
         hangar, backend = world(fed=False)
         backend.send_external_positions({1: np.array([0.1, 0.2, 0.0])})
         flight = hangar.server.swarm.vehicles[0].flight
-        eventually(lambda: flight.measured is not None)
+        eventually(lambda: flight.measured is not None, 5.0)
         position, attitude = flight.measured
         assert position == pytest.approx((0.1, 0.2, 0.0))
         assert attitude is None

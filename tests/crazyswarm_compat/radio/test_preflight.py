@@ -76,7 +76,7 @@ def test_every_vehicle_that_is_not_ready_is_named(world):
 def test_low_battery(world):
     hangar, backend = world()
     hangar.server.set_battery(3.4)
-    eventually(lambda: (backend.telemetry(1).battery or 9.0) < 3.6)
+    eventually(lambda: (backend.telemetry(1).battery or 9.0) < 3.6, 5.0)
     with pytest.raises(BackendError, match=r"cf1: battery at 3\.\d\d V; at least 3\.80 V wanted"):
         backend.prepare()
     backend.prepare(Preparation(battery=3.2))
@@ -85,7 +85,7 @@ def test_low_battery(world):
 def test_locked(world):
     _, backend = world()
     backend.send(c.Emergency())
-    eventually(lambda: backend.supervisor(1) is not None and backend.supervisor(1).locked)
+    eventually(lambda: backend.supervisor(1) is not None and backend.supervisor(1).locked, 5.0)
     with pytest.raises(BackendError, match=r"cf1: is locked .* off and on again"):
         backend.prepare()
 
@@ -135,6 +135,6 @@ def test_a_parameter_that_does_not_exist(world):
 def test_not_connected(world):
     hangar, backend = world(options=RadioOptions(link_timeout=0.3))
     hangar.server.cut(5.0)
-    eventually(lambda: not backend.connected(1))
+    eventually(lambda: not backend.connected(1), 5.0)
     with pytest.raises(BackendError, match="cf1: not connected"):
         backend.prepare()
