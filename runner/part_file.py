@@ -18,7 +18,12 @@ _PATIENCE = 30.0  # s for the disk to take the rest
 class PartFile:
     """Appends to a file, which is made at once.
 
-    What the disk refuses ends it quietly: the whole recording is still in memory.
+    What the disk refuses later ends it quietly: the whole recording is still in memory.
+
+    Parameters
+    ----------
+    path: the file.
+    beginning: written before this returns, so that what is there can be read from then on.
 
     Attributes
     ----------
@@ -29,10 +34,11 @@ class PartFile:
     OSError: the file cannot be made.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, beginning: bytes) -> None:
         self.path = path
         self.trouble: OSError | None = None
-        self._stream = open(path, "wb", buffering=0)  # noqa: SIM115 - closed by close()
+        path.write_bytes(beginning)
+        self._stream = open(path, "ab", buffering=0)  # noqa: SIM115 - closed by close()
         self._queue: queue.SimpleQueue[tuple[bytes, bool] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()

@@ -192,8 +192,8 @@ class Recorder:
         self._part: PartFile | None = None
         if file is not None:
             # Now, and not in flight: a thread is confined as the one that starts it.
-            self._part = PartFile(file.with_name(file.name + ".part"))
-            self._part.append([mcap_file.preamble(CHANNELS, "crazyarena")])
+            beginning = mcap_file.preamble(CHANNELS, "crazyarena")
+            self._part = PartFile(file.with_name(file.name + ".part"), beginning)
         self._states = Rows(TRACE_SIZE, 17408)
         self._commands = Rows(COMMAND_SIZE, 1024)
         self._verdicts = Rows(verdict_row.SIZE, 1024)

@@ -115,6 +115,19 @@ def test_same_flight_same_bytes_however_long_it_took(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "b"]
 
 
+def test_it_can_be_read_before_anything_happened(tmp_path):
+    recorder(tmp_path / "a.mcap")  # never closed: the process was killed at once
+    (part,) = export.recordings(tmp_path)
+    back = export.read(part)
+    assert not back.complete
+    assert {name: len(table) for name, table in back.tables.items()} == {
+        "state": 0,
+        "command": 0,
+        "referee": 0,
+        "gate": 0,
+    }
+
+
 def test_a_killed_process_loses_at_most_a_second(tmp_path):
     clock = VirtualClock()
     writing = recorder(tmp_path / "a.mcap", clock)
