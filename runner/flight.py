@@ -202,7 +202,8 @@ class FlightTrial:
                 obs = observation(start)
         except Aborted as error:
             return self._aborted(index, referee, error), obs
-        recorder = self._recorder(index, draw, track, start)
+        with self._else_abort():
+            recorder = self._recorder(index, draw, track, start)
         self._injection.begin(track, self._level, recorder)
         try:
             with contextlib.ExitStack() as quiet:
@@ -244,13 +245,19 @@ class FlightTrial:
         return draw.start
 
     def _make(self, obs: list[Any], start: np.ndarray) -> None:
-        try:
+        with self._else_abort():
             self._contender.make(obs, self._level, start)
+        self._made = True
+
+    @contextlib.contextmanager
+    def _else_abort(self) -> Iterator[None]:
+        """Disarm if something that has to be there before the start is not."""
+        try:
+            yield
         except BaseException:
             if self._crew is not None:
                 self._crew.abort()
             raise
-        self._made = True
 
     def _run(
         self,

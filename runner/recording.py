@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat import commands as cs
+from crazyarena.errors import InputError
 from crazyarena.runner import mcap_file, verdict_row
 from crazyarena.runner.asked import VERBS, Asked
 from crazyarena.runner.part_file import PartFile
@@ -174,6 +175,10 @@ class Recorder:
     metadata: strings that describe the flight; no wall-clock values.
     scene: a ``foxglove.SceneUpdate`` of the true track (see :mod:`crazyarena.runner.scene`).
     wall: clock that decides when to append to the ``.part`` file.
+
+    Raises
+    ------
+    InputError: the ``.part`` file cannot be written.
     """
 
     def __init__(
@@ -192,8 +197,14 @@ class Recorder:
         self._part: PartFile | None = None
         if file is not None:
             # Now, and not in flight: a thread is confined as the one that starts it.
-            beginning = mcap_file.preamble(CHANNELS, "crazyarena")
-            self._part = PartFile(file.with_name(file.name + ".part"), beginning)
+            part = file.with_name(file.name + ".part")
+            try:
+                self._part = PartFile(part, mcap_file.preamble(CHANNELS, "crazyarena"))
+            except OSError as error:
+                raise InputError(
+                    f"{part}: cannot write the recording: {error.strerror}. Make room, pass "
+                    "another --out, or fly with --no-record"
+                ) from error
         self._states = Rows(TRACE_SIZE, 17408)
         self._commands = Rows(COMMAND_SIZE, 1024)
         self._verdicts = Rows(verdict_row.SIZE, 1024)

@@ -54,6 +54,14 @@ def test_fly_in_simulation_is_the_dry_run(run, tmp_path):
     assert origin["machine"]["cpus"] >= 1
 
 
+def test_it_does_not_fly_what_it_cannot_record(run, tmp_path):
+    (tmp_path / "a/episode_000.mcap.part").mkdir(parents=True)
+    result = run("fly", "pilot.py", *NEAR, "--backend", "sim", "--out", "a", "--no-figure")
+    assert result.exit_code == 2
+    assert "episode_000.mcap.part: cannot write the recording" in result.output.replace("\n", "")
+    assert "countdown" not in result.output
+
+
 def test_an_entry_that_leaves_the_arena_is_taken_by_the_watchdog(run, tmp_path):
     step = (
         "rise = min(time, 2.0)\n        return Command.FULLSTATE, [[-0.9, -2.9, 0.4 * rise + 0.05],"

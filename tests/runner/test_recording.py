@@ -162,6 +162,11 @@ def test_tables(tmp_path):
         assert json.loads(str(archive["metadata_json"])) == {"level": "level0"}
 
 
+def test_where_it_cannot_be_written_is_told_before_the_flight(tmp_path):
+    with pytest.raises(InputError, match=r"a\.mcap\.part: cannot write.*No such file.*--out"):
+        recorder(tmp_path / "none" / "a.mcap")
+
+
 def test_what_is_no_recording_is_named(tmp_path):
     file = tmp_path / "x.mcap"
     file.write_bytes(b"not a recording")
