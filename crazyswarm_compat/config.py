@@ -452,4 +452,4 @@ def _guard(document: Node) -> str | None:
 
 def _channel(uri: str) -> int | None:
     parts = uri.split("/")
-    return int(parts[3]) if uri.startswith("radio://") and parts[3].isdigit() else None
+    return int(parts[3]) if uri.startswith("radio://") and parts[3].isdecimal() else None

@@ -175,7 +175,7 @@ def _describe(root: Node, error: Any) -> str:
     keys = list(error["loc"])
     if error["type"] == "level" and error["ctx"]["key"]:
         for part in str(error["ctx"]["key"]).split("."):
-            keys.append(int(part) if part.isdigit() else part)
+            keys.append(int(part) if part.isdecimal() else part)
     node, rest = root, keys
     while rest:
         members = node.value

@@ -250,7 +250,7 @@ class QualisysServer:
                 components.append(_COMPONENTS[name])
             elif name == "udp":
                 port = word.rsplit(":", 1)[1]
-                if not port.isdigit() or not 0 < int(port) < 65536:
+                if not port.isdecimal() or not 0 < int(port) < 65536:
                     client.send(ERROR, b"Parse error\0")
                     return
                 client.udp_port = int(port)

@@ -91,7 +91,7 @@ class Bodies:
         return {
             int(name[4:]) - 1: pose
             for name, pose in self.now().items()
-            if name.startswith("gate") and name[4:].isdigit()
+            if name.startswith("gate") and name[4:].isdecimal()
         }
 
 

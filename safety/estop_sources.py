@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import secrets
 import select
 import socket
 import sys
@@ -47,13 +48,27 @@ class SocketSource:
 
     The socket is a datagram socket in a folder only its owner can enter; whatever arrives is a
     stop, except ``{"test": true}``, which is a rehearsal.
+
+    Raises
+    ------
+    InputError: no socket can be made in the folder.
     """
 
     def __init__(self, stop: StopButton, folder: Path | None = None) -> None:
         self._stop = stop
-        self.path = (folder or runtime_folder()) / f"estop-{os.getpid()}-{id(self):x}.sock"
+        # Not by pid alone: containers that share the folder count theirs from one.
+        self.path = (
+            folder or runtime_folder()
+        ) / f"estop-{os.getpid()}-{secrets.token_hex(3)}.sock"
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.bind(str(self.path))
+        try:
+            self._socket.bind(str(self.path))
+        except OSError as error:
+            self._socket.close()
+            raise InputError(
+                f"{self.path}: cannot listen here for stops from other shells: {error}. Set "
+                "XDG_RUNTIME_DIR to a folder of yours with a short name"
+            ) from error
         self._socket.settimeout(_TICK)
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="estop-socket", daemon=True)

@@ -49,13 +49,13 @@ class Packet(NamedTuple):
 
 def _milli(where: str, field: str, values: Iterable[float]) -> list[int]:
     """Thousandths as int16, truncated like cflib truncates them."""
-    scaled = [int(1000.0 * float(value)) for value in values]
-    if any(not _INT16[0] <= value <= _INT16[1] for value in scaled):
-        found = [value / 1000.0 for value in scaled]
+    found = [float(value) for value in values]
+    scaled = [1000.0 * value for value in found]
+    if not all(_INT16[0] - 1 < value < _INT16[1] + 1 for value in scaled):
         raise CommandError(
             f"{where}: {field} is {found}; the packet holds -32.768 to 32.767 per axis"
         )
-    return scaled
+    return [int(value) for value in scaled]
 
 
 def _pack(where: str, layout: str, *values: Any) -> bytes:

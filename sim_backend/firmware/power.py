@@ -78,11 +78,17 @@ def mix(control: np.ndarray, motors: np.ndarray) -> None:
 
 
 @kernel
+def _at_least(command: float, idle: float) -> float:
+    """The larger one, as the firmware stores it: ``powerDist.idleThrust`` has 32 bits, this 16."""
+    return max(command, idle) % (FULL_SCALE + 1.0)
+
+
+@kernel
 def distribute_2022(control: np.ndarray, idle: float, motors: np.ndarray) -> None:
     """Motor commands of the 2022 firmware: mixed, each clipped to 0..65535, at least ``idle``."""
     mix(control, motors)
     for i in range(MOTORS):
-        motors[i] = max(min(max(motors[i], 0.0), FULL_SCALE), idle)
+        motors[i] = _at_least(min(max(motors[i], 0.0), FULL_SCALE), idle)
 
 
 @kernel
@@ -151,7 +157,7 @@ def cap_2026(motors: np.ndarray, idle: float) -> bool:
     capped = excess > 0.0
     for i in range(MOTORS):
         value = motors[i] - excess if capped else motors[i]
-        motors[i] = max(value, idle)
+        motors[i] = _at_least(value, idle)
     return capped
 
 

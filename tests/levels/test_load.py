@@ -221,6 +221,7 @@ def test_overrides_on_a_competition_file(tmp_path):
         ("track.gates[9].x=1", ["track.gates", "index below 4", "'9'"]),
         ("track.gates.first.x=1", ["index below 4", "'first'"]),
         ("seed.x=1", ["seed", "has no field 'x'"]),
+        ("²=1", ["²", "unknown field"]),
         ("a..b=1", ["expected a field"]),
         ("goal.tolerance=.nan", ["goal.tolerance", "finite number", "nan"]),
         ("goal.tolerance=", ["goal.tolerance", "finite number", "nothing"]),

@@ -339,6 +339,13 @@ def test_zenoh_stop_without_tokens_takes_any(stop, link):
         source.close()
 
 
+def test_a_folder_that_can_hold_no_socket_is_named(stop, tmp_path):
+    deep = tmp_path / ("d" * 100)
+    deep.mkdir()
+    with pytest.raises(InputError, match=r"dddd.*estop-.*too long.*XDG_RUNTIME_DIR"):
+        SocketSource(stop, deep)
+
+
 def test_socket_folder_of_others_is_refused(tmp_path, monkeypatch):
     from crazyarena.safety.estop_sources import runtime_folder
 

@@ -166,6 +166,7 @@ class TestRanges:
             ("vel", ([0, 0, 0], [-32.8, 0, 0], [0, 0, 0], [0, 0, 0])),
             ("acc", ([0, 0, 0], [0, 0, 0], [0, 0, 1e9], [0, 0, 0])),
             ("omega", ([0, 0, 0], [0, 0, 0], [0, 0, 0], [40.0, 0, 0])),
+            ("omega", ([0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 1.7e308])),
         ],
     )
     def test_full_state_beyond_16_bits_names_vehicle_and_field(self, field, values):

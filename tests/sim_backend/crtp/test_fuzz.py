@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crazyarena.sim_backend.crtp.packets import MAX_DATAGRAM, Port, parse
+from crazyarena.sim_backend.crtp.toc import param_entries
 from crazyarena.sim_backend.crtp.vehicle import Hardware
 from tests.sim_backend.crtp.recordings import Bench, conversations, requests
 
@@ -25,9 +26,17 @@ _MOTION_BYTES = {
 }  # fmt: skip
 
 
+_IDLE_THRUST = [entry.name for entry in param_entries()].index("powerDist.idleThrust")
+
+
 def _orders_motion(datagram: bytes) -> bool:
     packet = parse(datagram)
-    if packet is None or packet.channel != 0 or not packet.data:
+    if packet is None or not packet.data:
+        return False
+    if packet.port == Port.PARAM and packet.channel == 2:
+        # Armed motors turn at what it says.
+        return packet.data[:2] == struct.pack("<H", _IDLE_THRUST)
+    if packet.channel != 0:
         return False
     kind, size = packet.data[0], len(packet.data)
     if packet.port == Port.GENERIC_SETPOINT:
@@ -139,6 +148,16 @@ def test_orders_of_motion_do_move(bench: Bench) -> None:
     other.ask(order)
     other.run_to(2500)
     assert other.fleet.true_state(0).position[2] > 0.3
+
+
+def test_the_idle_thrust_is_stored_in_16_bits() -> None:
+    other = Bench()
+    other.run_to(1000)
+    order = b"\x2e" + struct.pack("<HI", _IDLE_THRUST, 0x7FFF_0000 + 9000)
+    assert _orders_motion(order)
+    other.ask(order)
+    other.run_to(1100)
+    assert other.vehicle.flight.rows.motors.tolist() == [9000.0] * 4
 
 
 def _random_datagrams(count: int, seed: int) -> Iterator[bytes]:
