@@ -43,20 +43,21 @@ def _is_realtime(place: str) -> bool:
     return place.startswith(_REALTIME)
 
 
-class _RealtimeAlone(LoadFileScheduling):
-    """Spreads files over processes, but keeps what runs in wall time out of its own way.
+class _Folders(LoadFileScheduling):
+    """Spreads files over processes, but of a folder's wall-time tests one runs at a time.
 
-    That waits more than it computes: one process takes it all, the others the rest beside it.
+    They wait more than they compute: others find room beside them, too many make them late.
     """
 
     def _split_scope(self, nodeid: str) -> str:
         file = super()._split_scope(nodeid)
-        return "realtime" if _is_realtime(file.removeprefix("tests/")) else file
+        place = file.removeprefix("tests/")
+        return f"realtime {place.partition('/')[0]}" if _is_realtime(place) else file
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _RealtimeAlone:
-    """Schedule ``pytest -n 2``."""
-    return _RealtimeAlone(config, log)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Folders:
+    """Schedule ``pytest -n``."""
+    return _Folders(config, log)
 
 
 @pytest.fixture

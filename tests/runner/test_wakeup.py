@@ -26,11 +26,16 @@ def test_sleeps_until_the_deadline_and_tells_who_was_late(clock, watched):
 
 
 def keep_ticks(clock):
+    known = 0
     for _ in range(30):
         deadline = clock.now() + 0.005
         late = clock.sleep_until(deadline)
         assert clock.now() >= deadline
-        assert 0.0 <= clock.standstill <= clock.machine_late <= late
+        # Put aside until the deadline has passed, it does not sleep.
+        if not math.isnan(clock.machine_late):
+            known += 1
+            assert 0.0 <= clock.standstill <= clock.machine_late <= late
+    assert known
 
 
 def test_a_deadline_that_has_passed_is_nobodys_sleep(clock):
