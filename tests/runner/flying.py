@@ -42,6 +42,8 @@ EMPTY = [
     "goal.position=[2.5, 2.5, 1.5]",
     "episode_length=15.0",
 ]
+# s, after which a supervisor no longer takes a vehicle with its motors off for a flying one.
+STANDS = 2.5
 FLIGHT_PROCESS = "crazyarena.runner.flight_process.server"
 
 
@@ -146,6 +148,11 @@ class Flying:
         printed, _ = self.runner.communicate(timeout=timeout)
         document = json.loads((self.out / "result.json").read_text())
         return document["episodes"][0], printed
+
+    def vehicle_at_rest(self) -> dict[str, Any]:
+        """The same, once its supervisor has had time to see that nothing flies any more."""
+        time.sleep(STANDS)
+        return self.vehicle()
 
     def vehicle(self) -> dict[str, Any]:
         """End the arena; returns where the vehicle was and its supervisor's word."""

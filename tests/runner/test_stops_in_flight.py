@@ -19,6 +19,7 @@ from crazyarena.runner import export
 from crazyarena.runner.virtual_arena import VirtualArena
 from crazyarena.sim_backend.firmware.supervisor import INFO_FLYING, INFO_LOCKED
 from tests.runner.fakes import controller
+from tests.runner.flying import STANDS
 
 pytestmark = pytest.mark.slow
 
@@ -165,7 +166,7 @@ def was_cut(arena, episode):
 
 
 def was_landed(arena):
-    """Locked all the same: its own watchdog is no longer fed once the program has ended."""
+    time.sleep(STANDS)
     arena.close()
     assert not arena.report["supervisor"] & INFO_FLYING
     assert arena.report["position"][2] < 0.1
