@@ -124,6 +124,7 @@ def converse(talk: Callable[[queue.Queue[Message | None], Tell], None]) -> None:
     """
     output = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
+    sys.stdout = sys.stderr  # written line by line: a child that is killed flushes nothing
     heard: queue.Queue[Message | None] = queue.Queue()
     lock = threading.Lock()
 
