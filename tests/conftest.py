@@ -72,9 +72,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of the folders and files above, and give them two more tries."""
+    """Mark the tests of the files above, and give all that are marked so two more tries."""
     for item in items:
         place = item.path.relative_to(_TESTS).as_posix()
         if _is_realtime(place):
             item.add_marker(pytest.mark.realtime)
+        if item.get_closest_marker("realtime"):
             item.add_marker(pytest.mark.flaky(reruns=2))
