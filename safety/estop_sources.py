@@ -57,9 +57,8 @@ class SocketSource:
     def __init__(self, stop: StopButton, folder: Path | None = None) -> None:
         self._stop = stop
         # Not by pid alone: containers that share the folder count theirs from one.
-        self.path = (
-            folder or runtime_folder()
-        ) / f"estop-{os.getpid()}-{secrets.token_hex(3)}.sock"
+        name = f"estop-{os.getpid()}-{secrets.token_hex(3)}.sock"
+        self.path = (folder or runtime_folder()) / name
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
             self._socket.bind(str(self.path))
