@@ -14,7 +14,6 @@ from xdist.scheduler import LoadFileScheduling
 settings.register_profile("crazyarena", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("crazyarena")
 
-_TESTS = Path(__file__).parent
 # Tests that fly or talk in wall time. They assert what happens, not how fast; but a machine that
 # stalls for seconds makes the vehicle under test do what it should on a lost link.
 _REALTIME = (
@@ -39,8 +38,8 @@ _REALTIME = (
 )
 
 
-def _is_realtime(place: str) -> bool:
-    return place.startswith(_REALTIME)
+def _is_realtime(nodeid: str) -> bool:
+    return nodeid.removeprefix("tests/").startswith(_REALTIME)
 
 
 class _Folders(LoadFileScheduling):
@@ -51,8 +50,7 @@ class _Folders(LoadFileScheduling):
 
     def _split_scope(self, nodeid: str) -> str:
         file = super()._split_scope(nodeid)
-        place = file.removeprefix("tests/")
-        return f"realtime {place.partition('/')[0]}" if _is_realtime(place) else file
+        return f"realtime {Path(file).parts[1]}" if _is_realtime(file) else file
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Folders:
@@ -74,8 +72,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests of the files above, and give all that are marked so two more tries."""
     for item in items:
-        place = item.path.relative_to(_TESTS).as_posix()
-        if _is_realtime(place):
+        if _is_realtime(item.nodeid):
             item.add_marker(pytest.mark.realtime)
         if item.get_closest_marker("realtime"):
             item.add_marker(pytest.mark.flaky(reruns=2))

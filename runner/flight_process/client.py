@@ -133,8 +133,6 @@ class FlightProcess:
 
     def _await(self, number: int, timeout: float) -> Any:
         end = self._clock.now() + timeout
-        if self.lost is None:
-            self.listen(0.0 if number in self._replies else timeout)
         while number not in self._replies:
             if self.lost is not None:
                 raise BackendError(self.lost)

@@ -149,12 +149,12 @@ class Flying:
         document = json.loads((self.out / "result.json").read_text())
         return document["episodes"][0], printed
 
-    def vehicle_at_rest(self) -> dict[str, Any]:
-        """The same, once its supervisor has had time to see that nothing flies any more."""
-        time.sleep(STANDS)
-        return self.vehicle()
-
     def vehicle(self) -> dict[str, Any]:
         """End the arena; returns where the vehicle was and its supervisor's word."""
         self.arena.close()
         return self.arena.report
+
+    def vehicle_at_rest(self) -> dict[str, Any]:
+        """The same, once its supervisor has had time to see that nothing flies any more."""
+        time.sleep(STANDS)
+        return self.vehicle()

@@ -11,6 +11,7 @@ import numpy as np
 
 from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
+from crazyarena.sim_backend.crtp.toc import param_entries
 from crazyarena.sim_backend.crtp.vehicle import Hardware
 from tests.recorded import folder
 
@@ -59,6 +60,11 @@ def tables() -> list[tuple[str, dict]]:
         for path, content in _contents()
         if isinstance(content, dict) and {"params", "logs"} <= set(content)
     ]
+
+
+def param_id(name: str) -> int:
+    """Number of a parameter on the wire."""
+    return [entry.name for entry in param_entries()].index(name)
 
 
 class Bench:

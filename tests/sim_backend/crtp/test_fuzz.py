@@ -13,9 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crazyarena.sim_backend.crtp.packets import MAX_DATAGRAM, Port, parse
-from crazyarena.sim_backend.crtp.toc import param_entries
 from crazyarena.sim_backend.crtp.vehicle import Hardware
-from tests.sim_backend.crtp.recordings import Bench, conversations, requests
+from tests.sim_backend.crtp.recordings import Bench, conversations, param_id, requests
 
 _PORTS = [int(port) for port in Port]
 # What a well-formed order to move looks like: such a packet is a command, not garbage, and
@@ -26,7 +25,7 @@ _MOTION_BYTES = {
 }  # fmt: skip
 
 
-_IDLE_THRUST = [entry.name for entry in param_entries()].index("powerDist.idleThrust")
+_IDLE_THRUST = param_id("powerDist.idleThrust")
 
 
 def _orders_motion(datagram: bytes) -> bool:

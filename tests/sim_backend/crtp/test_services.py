@@ -17,7 +17,7 @@ from crazyarena.sim_backend.crtp.setpoints import compress_quaternion
 from crazyarena.sim_backend.crtp.toc import TYPES, param_entries
 from crazyarena.sim_backend.crtp.vehicle import Hardware
 from crazyarena.sim_backend.firmware.supervisor import INFO_CRASHED, INFO_FLYING
-from tests.sim_backend.crtp.recordings import Bench
+from tests.sim_backend.crtp.recordings import Bench, param_id
 
 
 @pytest.fixture
@@ -29,10 +29,6 @@ def bench() -> Bench:
 
 def _log_id(bench: Bench, name: str) -> int:
     return [entry.name for entry in bench.vehicle.log.entries].index(name)
-
-
-def _param_id(name: str) -> int:
-    return [entry.name for entry in param_entries()].index(name)
 
 
 def _read_logs(bench: Bench, *names: str) -> dict[str, float]:
@@ -71,7 +67,7 @@ def test_simulated_parameters_have_the_types_of_the_table() -> None:
 
 
 def test_a_written_gain_reaches_the_controller(bench: Bench) -> None:
-    number = _param_id("ctrlMel.kp_xy")
+    number = param_id("ctrlMel.kp_xy")
     request = b"\x2e" + struct.pack("<Hf", number, 0.7)
     assert bench.ask(request) == [request]
     assert bench.fleet.get_param(0, "ctrlMel.kp_xy") == pytest.approx(0.7)
@@ -81,7 +77,7 @@ def test_a_written_gain_reaches_the_controller(bench: Bench) -> None:
 
 
 def test_a_parameter_nothing_models_keeps_its_value(bench: Bench) -> None:
-    number = _param_id("ring.fadeTime")
+    number = param_id("ring.fadeTime")
     bench.ask(b"\x2e" + struct.pack("<Hf", number, 2.5))
     assert bench.ask(b"\x2d" + struct.pack("<H", number))[0][4:] == struct.pack("<f", 2.5)
 
@@ -101,7 +97,7 @@ def test_set_by_name(bench: Bench, name: bytes, code: int, value: bytes, status:
 
 
 def test_store_clear_and_reboot(bench: Bench) -> None:
-    number = struct.pack("<H", _param_id("posCtlPid.xKp"))
+    number = struct.pack("<H", param_id("posCtlPid.xKp"))
     write = b"\x2e" + number + struct.pack("<f", 1.5)
     assert bench.ask(b"\x2f\x05" + number) == [b"\x2f\x05" + number + b"\x02"]
     bench.ask(write)
