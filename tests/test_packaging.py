@@ -5,26 +5,38 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
+from setuptools import find_namespace_packages
+
 ROOT = Path(__file__).resolve().parent.parent
 _FOLDERS = ("crazyswarm_compat", "levels", "mocap", "runner", "safety", "sim_backend")
 
 
-def test_every_folder_with_modules_is_declared():
-    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
-    roots = {name: ROOT / folder for name, folder in declared["package-dir"].items()}
-    installed = set()
-    for package in declared["packages"]:
-        name, rest = package, []
-        while name not in roots:
-            name, _, last = name.rpartition(".")
-            rest.insert(0, last)
-        folder = roots[name].joinpath(*rest)
-        assert folder.is_dir(), f"{package}: no folder {folder}"
-        installed.add(folder)
+def installed() -> dict[str, Path]:
+    """Folder of every package that the wheel holds, links resolved."""
+    find = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    rules = find["find"]
+    return {
+        package: (ROOT / where / package.replace(".", "/")).resolve()
+        for where in rules["where"]
+        for package in find_namespace_packages(
+            str(ROOT / where), include=rules["include"], exclude=rules["exclude"]
+        )
+    }
+
+
+def test_every_folder_with_modules_is_installed_once():
+    folders = list(installed().values())
     present = {
         module.parent
         for folder in _FOLDERS
         for module in (ROOT / folder).rglob("*.py")
         if "__pycache__" not in module.parts
     }
-    assert present <= installed, f"not declared: {sorted(map(str, present - installed))}"
+    assert present <= set(folders), f"left out: {sorted(map(str, present - set(folders)))}"
+    assert len(folders) == len(set(folders)), "a module would be in the wheel twice"
+
+
+def test_each_folder_is_followed_from_the_package():
+    for folder in _FOLDERS:
+        link = ROOT / "crazyarena" / folder
+        assert link.is_symlink() and link.readlink() == Path("..") / folder
