@@ -43,9 +43,10 @@ from crazyarena.mocap.camera_model import CameraModel
 from crazyarena.mocap.estimator import PoseEstimator
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.mocap.sim_source import SimSource
-from crazyarena.runner.contestant import Submission
+from crazyarena.runner.contestant.in_process import InProcess
+from crazyarena.runner.contestant.submission import Submission
 from crazyarena.runner.dry_run import example_racer
-from crazyarena.runner.trial import Trial
+from crazyarena.runner.trial.trial import Trial
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.gate import CommandGate
@@ -163,7 +164,7 @@ def fly(level_name: str, episodes: int, seed: int) -> tuple[int, list[tuple[bool
         tempfile.TemporaryDirectory() as work,
         Submission(example_racer(), Path(work)) as submission,
     ):
-        result = Trial(level, submission, world, episodes=episodes, seed=seed).run()
+        result = Trial(level, InProcess(submission), world, episodes=episodes, seed=seed).run()
     world.close()
     completed = [episode.completed for episode in result.episodes]
     return world.frames, list(zip(completed, world.episodes, strict=True))

@@ -31,11 +31,11 @@ from rich.console import Console
 
 from crazyarena.levels.schema import Level
 from crazyarena.mocap.source import SourceSpec
-from crazyarena.runner.flight_process.client import connected
 from crazyarena.runner.fly import Fly
-from crazyarena.runner.result import percentiles_ms
-from crazyarena.runner.rig import Rig
-from crazyarena.runner.virtual_arena import VirtualArena
+from crazyarena.runner.judging.result import percentiles_ms
+from crazyarena.runner.rig.flight_process.client import connected
+from crazyarena.runner.rig.rig import Rig
+from crazyarena.runner.rig.virtual_arena import VirtualArena
 from crazyarena.safety.limits import Limits
 
 RATE = 30.0

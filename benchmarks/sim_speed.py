@@ -19,9 +19,10 @@ import numpy as np
 
 from crazyarena.levels import load_level
 from crazyarena.levels.draw import Draw, LevelRandom
-from crazyarena.runner.contestant import Submission
+from crazyarena.runner.contestant.in_process import InProcess
+from crazyarena.runner.contestant.submission import Submission
 from crazyarena.runner.dry_run import example_racer
-from crazyarena.runner.trial import Trial
+from crazyarena.runner.trial.trial import Trial
 from crazyarena.sim_backend import competition_kernel as core
 from crazyarena.sim_backend.competition import CompetitionBatch, CompetitionWorld
 
@@ -91,7 +92,7 @@ def dry_run_multiple(record: bool, episodes: int = 8) -> float:
         Submission(example_racer(), Path(folder) / "work") as submission,
     ):
         out = Path(folder) if record else None
-        result = Trial(level, submission, world, episodes=episodes, out=out).run()
+        result = Trial(level, InProcess(submission), world, episodes=episodes, out=out).run()
     world.close()
     wall = np.diff(world.begun)[1:]
     return result.episodes[1].flight_time / float(wall.min())

@@ -98,7 +98,7 @@ POSE_PARTS = {
     "PosePipeline": "crazyarena.mocap.pipeline:PosePipeline",
 }
 # The arena's safety around a fleet; called as GuardFactory below.
-GUARD = "crazyarena.runner.guarded:open_guard"
+GUARD = "crazyarena.runner.rig.guarded:open_guard"
 SIMULATED = frozenset({"ideal", "sim", "pybullet"})  # these run on a virtual clock
 
 

@@ -16,15 +16,15 @@ from rich.console import Console
 
 from crazyarena.levels.schema import Level
 from crazyarena.mocap.source import SourceSpec
-from crazyarena.runner.compare import Comparison, compare
 from crazyarena.runner.dry_run import DryRun
-from crazyarena.runner.flight_options import FlightOptions
-from crazyarena.runner.flight_process.client import connected
 from crazyarena.runner.fly import Fly
-from crazyarena.runner.result import TrialResult
-from crazyarena.runner.rig import Rig
-from crazyarena.runner.stops import StopOptions
-from crazyarena.runner.virtual_arena import VirtualArena
+from crazyarena.runner.judging.result import TrialResult
+from crazyarena.runner.records.compare import Comparison, compare
+from crazyarena.runner.rig.flight_process.client import connected
+from crazyarena.runner.rig.rig import Rig
+from crazyarena.runner.rig.stops import StopOptions
+from crazyarena.runner.rig.virtual_arena import VirtualArena
+from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.safety.limits import Limits
 
 

@@ -16,23 +16,26 @@ from crazyarena.errors import InputError
 from crazyarena.levels import load_level
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level, Profile
-from crazyarena.runner.compute import FREE
-from crazyarena.runner.contender import Contender, InProcess
-from crazyarena.runner.contestant import Submission, entry_file
-from crazyarena.runner.flight_options import FlightOptions
-from crazyarena.runner.recording import Recorder
-from crazyarena.runner.report import provenance, table, write_result
-from crazyarena.runner.result import EpisodeResult, TrialResult
-from crazyarena.runner.trial import Trial
-from crazyarena.runner.world import World
+from crazyarena.runner.contestant.dialogue import Contestant
+from crazyarena.runner.contestant.in_process import InProcess
+from crazyarena.runner.contestant.submission import Submission, entry_file
+from crazyarena.runner.judging.result import EpisodeResult, TrialResult
+from crazyarena.runner.records.recorder import Recorder
+from crazyarena.runner.records.report import provenance, table, write_result
+from crazyarena.runner.trial.control_loop import Deadlines
+from crazyarena.runner.trial.options import FlightOptions
+from crazyarena.runner.trial.staging import Staging
+from crazyarena.runner.trial.trial import Trial
+from crazyarena.runner.trial.world import World
 from crazyarena.sim_backend import jit
 
 # What only arena levels need is imported when one is flown: it would double the start-up.
 if TYPE_CHECKING:
-    from crazyarena.runner.checklist import FlightChecklist
-    from crazyarena.runner.crew import Crew, MeasuredTrack
-    from crazyarena.runner.injection import Injection
-    from crazyarena.runner.tracked_world import TrackedWorld
+    from crazyarena.runner.trial.checklist import FlightChecklist
+    from crazyarena.runner.trial.injection import Injection
+    from crazyarena.runner.trial.phase import MeasuredTrack
+    from crazyarena.runner.trial.phases import Crew
+    from crazyarena.runner.trial.tracked_world import TrackedWorld
     from crazyarena.safety.limits import Limits
 
     Track = Draw | MeasuredTrack
@@ -55,8 +58,8 @@ def make_world(level: Level, seed: int, limits: Limits | None = None) -> World:
         from crazyarena.sim_backend.competition import CompetitionWorld
 
         return CompetitionWorld(level.control_frequency)
-    from crazyarena.runner.rig import simulated
-    from crazyarena.runner.tracked_world import TrackedWorld
+    from crazyarena.runner.rig.rig import simulated
+    from crazyarena.runner.trial.tracked_world import TrackedWorld
 
     return TrackedWorld(simulated(level, seed, limits=limits))
 
@@ -145,13 +148,13 @@ class DryRun:
         try:
             with contextlib.ExitStack() as stack:
                 stack.callback(world.close)
-                contender = self._contender()
-                stack.callback(contender.close)
-                origin = provenance(level, self._seed, self._path, contender.digest)
-                origin["contestant"] = contender.description
+                contestant = self._contestant()
+                stack.callback(contestant.close)
+                origin = provenance(level, self._seed, self._path, contestant.digest)
+                origin["contestant"] = contestant.description
                 progress = stack.enter_context(self._progress())
                 display = _Display(progress, level.episode_length, self._episodes)
-                result = self._fly(world, contender, display, origin, stack)
+                result = self._fly(world, contestant, display, origin, stack)
         except BaseException:
             self._remove_if_empty(self.out / "work", self.out)
             raise
@@ -174,24 +177,24 @@ class DryRun:
 
     def _limits(self) -> Limits:
         """Of the watchdog."""
-        from crazyarena.runner.safeguard import limits_for
+        from crazyarena.runner.rig.safeguard import limits_for
 
         return limits_for(self._level.control_frequency, self._options.max_misses)
 
-    def _contender(self) -> Contender:
+    def _contestant(self) -> Contestant:
         options, arena = self._options, self._level.profile is Profile.ARENA
         if options.sandbox if options.sandbox is not None else arena:
-            from crazyarena.runner.sandbox.process import Sandboxed
+            from crazyarena.runner.contestant.sandbox.process import Sandboxed
 
-            contender = Sandboxed(self._path, options.limits, require=options.require_sandbox)
-            self._console.print(contender.announcement, highlight=False, soft_wrap=True)
-            return contender
+            contestant = Sandboxed(self._path, options.limits, require=options.require_sandbox)
+            self._console.print(contestant.announcement, highlight=False, soft_wrap=True)
+            return contestant
         return InProcess(Submission(self._path, self.out / "work"))
 
     def _fly(
         self,
         world: World,
-        contender: Contender,
+        contestant: Contestant,
         display: Callable[[int, float], None],
         origin: dict[str, Any],
         stack: contextlib.ExitStack,
@@ -210,46 +213,55 @@ class DryRun:
             "late_commands": deadlines.policy.value,
             "max_misses": deadlines.max_misses,
         }
-        free = deadlines.compute.mode == FREE and not hasattr(world, "rig")
-        if free and isinstance(contender, InProcess):
-            return Trial(self._level, contender.submission, world, **common).run()
-        from crazyarena.runner.flight import FlightTrial
-        from crazyarena.runner.tracked_world import TrackedWorld
-
-        crew = None
-        if isinstance(world, TrackedWorld):
-            origin["rig"] = world.rig.description
-            crew = self._crew(world)
-        watch = world.rig.safeguard if isinstance(world, TrackedWorld) else None
-        trial = FlightTrial(
-            self._level,
-            contender,
-            world,
-            crew=crew,
-            watch=watch,
-            injection=self._injection(stack),
-            deadlines=deadlines,
-            real_time=self._real_time,
-            **common,
+        staging = self._staging(world, contestant, deadlines, origin, stack)
+        trial = Trial(
+            self._level, contestant, world, staging=staging, deadlines=deadlines, **common
         )
         result = trial.run()
         if self._preflight is not None:
             origin["preflight"] = self._preflight.record()
-        if trial.in_force:
-            origin["real_time"] = trial.in_force
+        if staging.in_force:
+            origin["real_time"] = staging.in_force
         return result
 
     _real_time = False
 
+    def _staging(
+        self,
+        world: World,
+        contestant: Contestant,
+        deadlines: Deadlines,
+        origin: dict[str, Any],
+        stack: contextlib.ExitStack,
+    ) -> Staging:
+        if self._level.profile is Profile.COMPETITION:
+            # As in the competition, a contestant whose thinking is free is told by its info alone.
+            plain = isinstance(contestant, InProcess) and not deadlines.compute.counts
+            return Staging() if plain else Staging(self._injection(stack))
+        from crazyarena.runner.trial.arena_staging import ArenaStaging
+        from crazyarena.runner.trial.tracked_world import TrackedWorld
+
+        assert isinstance(world, TrackedWorld)
+        origin["rig"] = world.rig.description
+        crew = self._crew(world)
+        return ArenaStaging(
+            crew,
+            world,
+            self._level,
+            world.rig.safeguard,
+            self._injection(stack),
+            real_time=self._real_time,
+        )
+
     def _crew(self, world: TrackedWorld) -> Crew:
-        from crazyarena.runner.checklist import FlightChecklist
-        from crazyarena.runner.crew import Crew
+        from crazyarena.runner.trial.checklist import FlightChecklist
+        from crazyarena.runner.trial.phases import Crew
 
         self._preflight = FlightChecklist(world.rig, self._level)
         return Crew(world.rig, world, self._level, checks=(self._preflight,), anywhere=True)
 
     def _injection(self, stack: contextlib.ExitStack) -> Injection:
-        from crazyarena.runner.injection import Injection
+        from crazyarena.runner.trial.injection import Injection
 
         return Injection()
 
@@ -279,7 +291,7 @@ class DryRun:
         """Matplotlib is slow to import, so it comes last."""
         if not self._drawings:
             return
-        from crazyarena.runner.figure import save_figure
+        from crazyarena.runner.records.figure import save_figure
 
         for result, states, gates, obstacles in self._drawings:
             file = self.out / f"episode_{result.index:03d}.png"

@@ -10,14 +10,15 @@ from typing import Any
 from crazyarena.errors import InputError
 from crazyarena.levels.schema import Level, Profile
 from crazyarena.mocap.survey import read_track
-from crazyarena.runner.checklist import FlightChecklist
-from crazyarena.runner.crew import Crew, Grip, Phase
 from crazyarena.runner.dry_run import DryRun
-from crazyarena.runner.injection import DEFAULT_PREFIX, Injection, ZenohOutlet
-from crazyarena.runner.rig import Rig
-from crazyarena.runner.stops import StopOptions
-from crazyarena.runner.tracked_world import TrackedWorld
-from crazyarena.runner.world import World
+from crazyarena.runner.rig.rig import Rig
+from crazyarena.runner.rig.stops import StopOptions
+from crazyarena.runner.trial.checklist import FlightChecklist
+from crazyarena.runner.trial.injection import DEFAULT_PREFIX, Injection, ZenohOutlet
+from crazyarena.runner.trial.phase import Grip, Phase
+from crazyarena.runner.trial.phases import Crew
+from crazyarena.runner.trial.tracked_world import TrackedWorld
+from crazyarena.runner.trial.world import World
 from crazyarena.safety.limits import Limits
 from crazyarena.types import Pose
 

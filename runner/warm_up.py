@@ -44,7 +44,7 @@ def _compile_simulator() -> None:
 
 def compile_referee() -> None:
     """Judge one empty tick."""
-    from crazyarena.runner.referee import Referee
+    from crazyarena.runner.judging.referee import Referee
 
     level = load_level(_LEVEL)
     draw = LevelRandom(level).reset()

@@ -39,4 +39,5 @@ def test_every_folder_with_modules_is_installed_once():
 def test_each_folder_is_followed_from_the_package():
     for folder in _FOLDERS:
         link = ROOT / "crazyarena" / folder
-        assert link.is_symlink() and link.readlink() == Path("..") / folder
+        assert link.is_symlink(), f"{link}: with git, core.symlinks must be true"
+        assert link.readlink() == Path("..") / folder

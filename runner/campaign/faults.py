@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from crazyarena.runner.campaign.strikes import cameras, contestant, radio, station, vehicle
+from crazyarena.runner.campaign.strikes.struck import Struck
 from crazyarena.safety.limits import Limits
-
-if TYPE_CHECKING:
-    from crazyarena.runner.campaign.flight import Flight
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +18,7 @@ class Fault:
     are not held to the fence as the rest is; ``link`` faults leave it to its own firmware.
     """
 
-    strike: Callable[[Flight], None]
+    strike: Callable[[Struck], None]
     physical: bool = False
     link: bool = False
     limits: Limits = field(default_factory=Limits)

@@ -64,6 +64,7 @@ class Flight:
             raise InputError(f"fault {fault!r}: choose from {', '.join(FAULTS)}")
         self.fault = fault
         self.seed = seed
+        self.body, self.other = BODY, OTHER
         plan = draw_plan(fault, seed)
         self.rng = plan.rng
         self.plant = plan.plant

@@ -30,7 +30,7 @@ def arena_check(
     with bad_input_exits():
         from crazyarena.errors import InputError
         from crazyarena.levels import load_level
-        from crazyarena.runner.arena_figure import save_arena
+        from crazyarena.runner.records.arena_figure import save_arena
         from crazyarena.safety.fence import Fence
 
         chosen = load_level(level, set_ or ())

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,33 +13,25 @@ from crazyarena.runner.cli.common import (
     EXIT_NOT_CLEAN,
     AnySubmission,
     ArenaLevel,
-    Compute,
-    ComputeFactor,
-    Late,
-    LateChoice,
-    MaxMisses,
     Out,
     Overrides,
-    RequireSandbox,
     Seed,
     bad_input_exits,
 )
-from crazyarena.runner.cli.stop_options import (
-    DeadMan,
-    Gamepad,
-    StopConnect,
-    StopListen,
-    StopNetwork,
-    StopToken,
-    Waive,
-    stop_options,
-)
+from crazyarena.runner.cli.options.flight import flight_options
+from crazyarena.runner.cli.options.groups import takes
+from crazyarena.runner.cli.options.stops import Waive, flight_stops
+
+if TYPE_CHECKING:
+    from crazyarena.runner.rig.stops import StopOptions
+    from crazyarena.runner.trial.options import FlightOptions
 
 
 def register(app: typer.Typer) -> None:
     app.command("bench")(bench)
 
 
+@takes(options=flight_options, stops=flight_stops)
 def bench(
     submission: AnySubmission = None,
     level: ArenaLevel = "sim2real",
@@ -49,22 +42,14 @@ def bench(
     dry: Annotated[
         bool, typer.Option("--dry/--no-dry", help="Fly the dry runs too, and compare.")
     ] = True,
-    compute: Compute = None,
-    compute_factor: ComputeFactor = 1.0,
-    late: Late = LateChoice.HOLD,
-    max_misses: MaxMisses = 15,
-    require_sandbox: RequireSandbox = False,
+    *,
+    options: FlightOptions,
     real_time: Annotated[
         bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
     ] = True,
     figure: Annotated[bool, typer.Option(help="Write figures.")] = True,
     waive: Waive = None,
-    gamepad: Gamepad = None,
-    dead_man: DeadMan = None,
-    stop_network: StopNetwork = False,
-    stop_connect: StopConnect = None,
-    stop_listen: StopListen = None,
-    stop_token: StopToken = None,
+    stops: Callable[[str], StopOptions],
 ) -> None:
     """Fly a virtual Crazyflie over UDP with cameras over zenoh, in real time.
 
@@ -77,9 +62,8 @@ def bench(
         from rich.console import Console
 
         from crazyarena.levels import load_level
-        from crazyarena.runner import compare as comparing
         from crazyarena.runner.bench import Bench
-        from crazyarena.runner.flight_options import FlightOptions
+        from crazyarena.runner.records import compare as comparing
 
         console = Console()
         loaded = load_level(level, set_ or [])
@@ -94,20 +78,12 @@ def bench(
             runs=runs,
             seed=loaded.seed if seed is None else seed,
             dry=dry,
-            options=FlightOptions(
-                require_sandbox=require_sandbox,
-                compute=compute,
-                factor=compute_factor,
-                late=late.policy,
-                max_misses=max_misses,
-            ),
+            options=options,
             real_time=real_time,
             figure=figure,
             console=console,
             waive=waive or (),
-            stops=stop_options(
-                gamepad, dead_man, stop_network, stop_connect, stop_listen, stop_token, "bench"
-            ),
+            stops=stops("bench"),
         ).run()
         if result.comparison is not None:
             console.print(comparing.table(result.comparison))

@@ -37,7 +37,7 @@ def compare(
         from rich.console import Console
 
         from crazyarena.errors import InputError
-        from crazyarena.runner import compare as comparing
+        from crazyarena.runner.records import compare as comparing
 
         words = [str(run) for run in runs]
         if words.count("vs") == 1:

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from crazyarena.runner.cli.common import (
     EXIT_NOT_CLEAN,
-    Compute,
-    ComputeFactor,
-    Late,
-    LateChoice,
-    MaxMisses,
-    RequireSandbox,
     bad_input_exits,
 )
+from crazyarena.runner.cli.options.flight import Sandbox, flight_options
+from crazyarena.runner.cli.options.groups import takes
+
+if TYPE_CHECKING:
+    from crazyarena.runner.trial.options import FlightOptions
 
 
 def register(app: typer.Typer) -> None:
     app.command("dry-run")(dry_run)
 
 
+@takes(options=flight_options)
 def dry_run(
     submission: Annotated[
         Path | None,
@@ -45,17 +46,9 @@ def dry_run(
     ] = None,
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode.")] = True,
     figure: Annotated[bool, typer.Option(help="Write a PNG an episode.")] = True,
-    compute: Compute = None,
-    compute_factor: ComputeFactor = 1.0,
-    late: Late = LateChoice.HOLD,
-    max_misses: MaxMisses = 15,
-    sandbox: Annotated[
-        bool | None,
-        typer.Option(
-            help="Run the submission in a process of its own. Default: on arena levels only."
-        ),
-    ] = None,
-    require_sandbox: RequireSandbox = False,
+    *,
+    options: FlightOptions,
+    sandbox: Sandbox = None,
 ) -> None:
     """Fly a submission in simulation and judge it by the competition's rules.
 
@@ -64,7 +57,6 @@ def dry_run(
     """
     with bad_input_exits():
         from crazyarena.runner.dry_run import DryRun
-        from crazyarena.runner.flight_options import FlightOptions
 
         run = DryRun(
             submission=submission,
@@ -75,14 +67,7 @@ def dry_run(
             out=out,
             record=record,
             figure=figure,
-            options=FlightOptions(
-                sandbox=sandbox,
-                require_sandbox=require_sandbox,
-                compute=compute,
-                factor=compute_factor,
-                late=late.policy,
-                max_misses=max_misses,
-            ),
+            options=replace(options, sandbox=sandbox),
         )
         result = run.run()
     if not result.clean:

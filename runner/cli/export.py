@@ -23,7 +23,7 @@ def export(
     """Turn recordings into tables."""
     with bad_input_exits():
         from crazyarena.errors import InputError
-        from crazyarena.runner import export as exporting
+        from crazyarena.runner.records import export as exporting
 
         if not (csv or npz):
             raise InputError("export: nothing to write. Pass --csv, --npz or both")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import StrEnum
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,28 +12,19 @@ from crazyarena.runner.cli.common import (
     EXIT_NOT_CLEAN,
     AnySubmission,
     ArenaLevel,
-    Compute,
-    ComputeFactor,
-    Late,
-    LateChoice,
-    MaxMisses,
     Out,
     Overrides,
-    RequireSandbox,
     Seed,
     bad_input_exits,
 )
-from crazyarena.runner.cli.mocap_options import HOST_HELP, OPTION_HELP, SOURCE_HELP
-from crazyarena.runner.cli.stop_options import (
-    DeadMan,
-    Gamepad,
-    StopConnect,
-    StopListen,
-    StopNetwork,
-    StopToken,
-    Waive,
-    stop_options,
-)
+from crazyarena.runner.cli.options.flight import flight_options
+from crazyarena.runner.cli.options.groups import takes
+from crazyarena.runner.cli.options.mocap import HOST_HELP, OPTION_HELP, SOURCE_HELP
+from crazyarena.runner.cli.options.stops import Waive, flight_stops
+
+if TYPE_CHECKING:
+    from crazyarena.runner.rig.stops import StopOptions
+    from crazyarena.runner.trial.options import FlightOptions
 
 
 class BackendChoice(StrEnum):
@@ -46,6 +38,7 @@ def register(app: typer.Typer) -> None:
     app.command("fly")(fly)
 
 
+@takes(options=flight_options, stops=flight_stops)
 def fly(
     submission: AnySubmission = None,
     level: ArenaLevel = "sim2real",
@@ -80,21 +73,13 @@ def fly(
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before arming.")] = False,
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode.")] = True,
     figure: Annotated[bool, typer.Option(help="Write a PNG an episode.")] = True,
-    compute: Compute = None,
-    compute_factor: ComputeFactor = 1.0,
-    late: Late = LateChoice.HOLD,
-    max_misses: MaxMisses = 15,
-    require_sandbox: RequireSandbox = False,
+    *,
+    options: FlightOptions,
     real_time: Annotated[
         bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
     ] = True,
     waive: Waive = None,
-    gamepad: Gamepad = None,
-    dead_man: DeadMan = None,
-    stop_network: StopNetwork = False,
-    stop_connect: StopConnect = None,
-    stop_listen: StopListen = None,
-    stop_token: StopToken = None,
+    stops: Callable[[str], StopOptions],
 ) -> None:
     """Connect, check, survey the track, arm, fly, come home, land.
 
@@ -103,11 +88,10 @@ def fly(
     with bad_input_exits():
         from crazyarena.errors import InputError
         from crazyarena.levels.schema import Level
-        from crazyarena.runner.checklist import check_waivers
-        from crazyarena.runner.cli.mocap_options import named_source
-        from crazyarena.runner.flight_options import FlightOptions
         from crazyarena.runner.fly import Fly
-        from crazyarena.runner.rig import Rig, simulated
+        from crazyarena.runner.rig.cameras import named_source
+        from crazyarena.runner.rig.rig import Rig, simulated
+        from crazyarena.runner.trial.checklist import check_waivers
         from crazyarena.safety.limits import Limits
 
         real = backend is BackendChoice.RADIO
@@ -119,19 +103,17 @@ def fly(
 
         name = body or f"cf{vehicle}"
         check_waivers(waive or (), name)
-        stops = stop_options(
-            gamepad, dead_man, stop_network, stop_connect, stop_listen, stop_token, name
-        )
+        stopped_by = stops(name)
         if not real:
             # Simulated time runs faster than anybody's hand.
-            if stops != stops.only_local():
+            if stopped_by != stopped_by.only_local():
                 typer.echo("Simulated time: nothing has to be held, and nobody else can stop it.")
-            stops = stops.only_local()
+            stopped_by = stopped_by.only_local()
 
         def open_rig(loaded: Level, limits: Limits) -> Rig:
             if not real:
                 return simulated(loaded, loaded.seed if seed is None else seed, limits=limits)
-            from crazyarena.runner.flight_process.client import connected
+            from crazyarena.runner.rig.flight_process.client import connected
 
             assert uri is not None
             assert mocap is not None
@@ -156,19 +138,13 @@ def fly(
             out,
             record,
             figure,
-            options=FlightOptions(
-                require_sandbox=require_sandbox,
-                compute=compute,
-                factor=compute_factor,
-                late=late.policy,
-                max_misses=max_misses,
-            ),
+            options=options,
             open_rig=open_rig,
             yes=yes or not real,
             surveyed=survey,
             publish=None if publish is None else {"connect": [publish]},
             real_time=real_time and real,
-            stops=stops,
+            stops=stopped_by,
             waive=waive or (),
             uri=uri if real else None,
         )

@@ -8,11 +8,10 @@ from typing import Annotated
 import typer
 
 from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
-from crazyarena.runner.cli.mocap_options import (
+from crazyarena.runner.cli.options.mocap import (
     HOST_HELP,
     OPTION_HELP,
     SOURCE_HELP,
-    open_named_source,
 )
 
 
@@ -40,6 +39,7 @@ def mocap_check(
         from crazyarena.mocap.check import MocapCheck, report_lines
         from crazyarena.mocap.poselog import PoseLogWriter
         from crazyarena.mocap.source import SourceState
+        from crazyarena.runner.rig.cameras import open_named_source
 
         clock = WallClock()
         check = MocapCheck(body or (), knows_latency=mocap in ("zenoh", "replay"))

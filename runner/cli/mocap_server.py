@@ -7,11 +7,10 @@ from typing import Annotated
 import typer
 
 from crazyarena.runner.cli.common import bad_input_exits
-from crazyarena.runner.cli.mocap_options import (
+from crazyarena.runner.cli.options.mocap import (
     HOST_HELP,
     OPTION_HELP,
     nominal_track,
-    open_named_source,
 )
 
 
@@ -61,6 +60,7 @@ def mocap_server(
         from crazyarena.mocap.source import PoseSource
         from crazyarena.mocap.vendor_server import QualisysServer
         from crazyarena.mocap.zenoh_link import ZenohPublisher
+        from crazyarena.runner.rig.cameras import open_named_source
 
         clock = WallClock()
         names = body or ["cf1"]

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
-from crazyarena.runner.cli.mocap_options import (
+from crazyarena.runner.cli.options.mocap import (
     HOST_HELP,
     OPTION_HELP,
     SOURCE_HELP,
     nominal_track,
-    open_named_source,
 )
 
 if TYPE_CHECKING:
@@ -52,6 +51,7 @@ def mocap_survey(
         from crazyarena.clock import WallClock
         from crazyarena.levels import load_level
         from crazyarena.mocap.survey import SurveyConfig, survey, write_track
+        from crazyarena.runner.rig.cameras import open_named_source
 
         flown = load_level(level)
         nominal = nominal_track(flown)

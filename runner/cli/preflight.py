@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, Overrides, bad_input_exits
-from crazyarena.runner.cli.mocap_options import HOST_HELP, OPTION_HELP, SOURCE_HELP
-from crazyarena.runner.cli.stop_options import (
+from crazyarena.runner.cli.options.mocap import HOST_HELP, OPTION_HELP, SOURCE_HELP
+from crazyarena.runner.cli.options.stops import (
     Gamepad,
     StopConnect,
     StopListen,
@@ -66,7 +66,7 @@ def preflight(
     with bad_input_exits():
         from rich.console import Console
 
-        from crazyarena.runner.preflight import Wanted, gather
+        from crazyarena.runner.trial.preflight import Wanted, gather
         from crazyarena.safety.preflight import may_fly
 
         console = Console()

@@ -13,8 +13,8 @@ from types import TracebackType
 from typing import Any
 
 from crazyarena.levels import load_level
-from crazyarena.runner import export
-from crazyarena.runner.virtual_arena import VirtualArena
+from crazyarena.runner.records import export
+from crazyarena.runner.rig.virtual_arena import VirtualArena
 
 # A circle of 0.8 m diameter in 6 s, and some thinking about every point of it.
 CIRCLE = """
@@ -44,7 +44,7 @@ EMPTY = [
 ]
 # s, after which a supervisor no longer takes a vehicle with its motors off for a flying one.
 STANDS = 2.5
-FLIGHT_PROCESS = "crazyarena.runner.flight_process.server"
+FLIGHT_PROCESS = "crazyarena.runner.rig.flight_process.server"
 
 
 def crazyarena(*arguments: object, **options: Any) -> subprocess.Popen[str]:

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from crazyarena.runner.compare import compare
+from crazyarena.runner.records.compare import compare
 from tests.runner.flying import (
     CIRCLE,
     EMPTY,
@@ -57,8 +57,8 @@ def test_a_killed_bench_leaves_no_process(tmp_path):
         child_of(process.pid, module)
         for module in (
             FLIGHT_PROCESS,
-            "crazyarena.runner.virtual_arena",
-            "crazyarena.runner.sandbox.child",
+            "crazyarena.runner.rig.virtual_arena",
+            "crazyarena.runner.contestant.sandbox.child",
         )
     ]
     process.send_signal(signal.SIGKILL)

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.runner.campaign.strikes.directions import outwards
-
-if TYPE_CHECKING:
-    from crazyarena.runner.campaign.flight import Flight
+from crazyarena.runner.campaign.strikes.struck import Struck
 
 
-def outside(f: Flight) -> None:
+def outside(f: Struck) -> None:
     """Ask for a place outside at once."""
     target = f.position() + 5.0 * outwards(f)
     f.contestant = lambda now: c.FullState(target, np.zeros(3), np.zeros(3), 0.0, np.zeros(3))
 
 
-def _ramp(f: Flight, direction: np.ndarray, speed: float) -> None:
+def _ramp(f: Struck, direction: np.ndarray, speed: float) -> None:
     """Accelerate from the present setpoint to ``speed`` along ``direction``, and never stop."""
     start = f.setpoint
     place = np.array(start.position, dtype=float)
@@ -41,29 +38,29 @@ def _ramp(f: Flight, direction: np.ndarray, speed: float) -> None:
     f.contestant = fly
 
 
-def up(f: Flight) -> None:
+def up(f: Struck) -> None:
     """Accelerate straight up."""
     _ramp(f, np.array([0.0, 0.0, 1.0]), f.rng.uniform(0.5, 2.0))
 
 
-def wall(f: Flight) -> None:
+def wall(f: Struck) -> None:
     """Accelerate towards a wall."""
     _ramp(f, outwards(f), 2.0)
 
 
-def wall_velocity(f: Flight) -> None:
+def wall_velocity(f: Struck) -> None:
     """Ask for a velocity towards a wall."""
     velocity = 2.0 * outwards(f)
     f.contestant = lambda now: c.VelocityWorld(velocity)
 
 
-def position_step(f: Flight) -> None:
+def position_step(f: Struck) -> None:
     """Ask for a place outside, by the position controller."""
     target = f.position() + 5.0 * outwards(f)
     f.contestant = lambda now: c.Position(target)
 
 
-def go_to_wall(f: Flight) -> None:
+def go_to_wall(f: Struck) -> None:
     """A plan of the vehicle's own, to the fence at up to 2 m/s."""
     place = f.position()
     out = outwards(f)
@@ -76,30 +73,30 @@ def go_to_wall(f: Flight) -> None:
     f.contestant = lambda now: next(orders, None)
 
 
-def tilt(f: Flight) -> None:
+def tilt(f: Struck) -> None:
     """Ask for an attitude and stay tilted."""
     roll, pitch = f.rng.choice(((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4)))
     f.contestant = lambda now: c.Attitude(roll, pitch, 0.0, 42000)
 
 
-def nan(f: Flight) -> None:
+def nan(f: Struck) -> None:
     """Ask for what is no number."""
     broken = np.array([math.nan, 0.0, 1.0])
     f.contestant = lambda now: c.FullState(broken, np.zeros(3), np.zeros(3), 0.0, np.zeros(3))
 
 
-def silent(f: Flight) -> None:
+def silent(f: Struck) -> None:
     """Ask for nothing more."""
     f.contestant = lambda now: None
 
 
-def stuck(f: Flight) -> None:
+def stuck(f: Struck) -> None:
     """Ask for the same again and again."""
     last = f.setpoint
     f.contestant = lambda now: last
 
 
-def oscillating(f: Flight) -> None:
+def oscillating(f: Struck) -> None:
     """Ask for two places in turns."""
     middle = np.array(f.setpoint.position, dtype=float)
     step = f.rng.uniform(0.3, 1.5) * outwards(f)

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from crazyarena.runner.campaign.strikes import contestant
-
-if TYPE_CHECKING:
-    from crazyarena.runner.campaign.flight import Flight
+from crazyarena.runner.campaign.strikes.struck import Struck
 
 
-def loss(f: Flight) -> None:
+def loss(f: Struck) -> None:
     """Lose a share of the packets."""
     f.link.loss = f.rng.uniform(0.2, 0.7)
 
 
-def burst(f: Flight) -> None:
+def burst(f: Struck) -> None:
     """Come and go."""
     duration = f.rng.uniform(0.1, 0.9)
     pause = f.rng.uniform(0.3, 2.0)
@@ -26,12 +22,12 @@ def burst(f: Flight) -> None:
     f.each = come_and_go
 
 
-def cut(f: Flight) -> None:
+def cut(f: Struck) -> None:
     """Lose everything from now on."""
     f.link.cut = True
 
 
-def cut_at_wall(f: Flight) -> None:
+def cut_at_wall(f: Struck) -> None:
     """Lose the radio anywhere on the way to a wall, by whatever means the vehicle heads for it."""
     kind = f.rng.choice(
         (

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from crazyarena.runner.campaign.flight import Flight
+from crazyarena.runner.campaign.strikes.struck import Struck
 
 
-def late(f: Flight) -> None:
+def late(f: Struck) -> None:
     """The control loop stalls time and again."""
     stall = f.rng.uniform(0.05, 1.0)
     gap = f.rng.uniform(0.2, 1.0)
@@ -23,6 +20,6 @@ def late(f: Flight) -> None:
     f.each = stumble
 
 
-def killed(f: Flight) -> None:
+def killed(f: Struck) -> None:
     """The ground station does nothing more."""
     f.ground_station_alive = False

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from crazyarena.runner.campaign.strikes.directions import outwards
+from crazyarena.runner.campaign.strikes.struck import Struck
 from crazyarena.sim_backend.physics.arena_plant import (
     AB_CHARGE,
     AP_CAPACITY,
@@ -14,11 +13,8 @@ from crazyarena.sim_backend.physics.arena_plant import (
     AP_STRENGTH,
 )
 
-if TYPE_CHECKING:
-    from crazyarena.runner.campaign.flight import Flight
 
-
-def battery(f: Flight) -> None:
+def battery(f: Struck) -> None:
     """The battery resists more, or is nearly empty."""
     if f.rng.random() < 0.5:
         f.fleet.plants[0, AP_RESISTANCE] *= f.rng.uniform(1.5, 2.5)
@@ -27,12 +23,12 @@ def battery(f: Flight) -> None:
         f.fleet.bodies[0, AB_CHARGE] = drawn * f.fleet.plants[0, AP_CAPACITY]
 
 
-def motor(f: Flight) -> None:
+def motor(f: Struck) -> None:
     """One motor loses thrust, or all of it."""
     f.fleet.plants[0, AP_STRENGTH + f.rng.randrange(4)] *= f.rng.choice((0.0, 0.3, 0.6))
 
 
-def gust(f: Flight) -> None:
+def gust(f: Struck) -> None:
     """A wind blows for a while."""
     # Up to what a wind of some 10 m/s does to a vehicle of this size, a third of its weight.
     direction = outwards(f)

@@ -1,7 +1,7 @@
 """The far side of a campaign flight over UDP: vehicle, radio and cameras, in a process of its own.
 
-``python -m crazyarena.runner.campaign.udp.field`` talks as :mod:`crazyarena.runner.json_child`
-does. It is told ``fault``, ``seed`` and ``level_file``, answers with ``uri`` and ``endpoint``, is
+``python -m crazyarena.runner.campaign.udp.field`` talks as :mod:`.json_child` does. It
+is told ``fault``, ``seed`` and ``level_file``, answers with ``uri`` and ``endpoint``, is
 told ``go``, the host's time of the take-off, and answers at the end with what truly happened. It
 serves until nobody speaks to it any more.
 """
@@ -13,7 +13,7 @@ import queue
 import socket
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
@@ -29,10 +29,11 @@ from crazyarena.runner.campaign.cameras import FaultyCameras
 from crazyarena.runner.campaign.excursion import Excursion
 from crazyarena.runner.campaign.faults import FAULTS
 from crazyarena.runner.campaign.plan import Plan, draw_plan
-from crazyarena.runner.campaign.setting import LAND_TIME, MISSION, PATIENCE, VEHICLE
+from crazyarena.runner.campaign.setting import BODY, LAND_TIME, MISSION, OTHER, PATIENCE, VEHICLE
+from crazyarena.runner.campaign.strikes.struck import Struck
 from crazyarena.runner.campaign.udp.devices import LOOK_MS, ArenaCameras, FaultyRadio, Witness
-from crazyarena.runner.json_child import Message, Tell, converse
-from crazyarena.runner.realtime import SERVING, raise_priority
+from crazyarena.runner.campaign.udp.json_child import Message, Tell, converse
+from crazyarena.runner.timing.realtime import SERVING, raise_priority
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.monitors import CRASHED, LOCKED
 from crazyarena.sim_backend.arena import ArenaFleet
@@ -40,9 +41,6 @@ from crazyarena.sim_backend.arena_world import SENSOR_NOISE
 from crazyarena.sim_backend.crtp.faults import Faults
 from crazyarena.sim_backend.crtp.server import VirtualServer
 from crazyarena.sim_backend.physics.competition_step import B_VEL, P_MASS
-
-if TYPE_CHECKING:
-    from crazyarena.runner.campaign.flight import Flight
 
 # What befalls cameras, radio and vehicle; the rest befalls the ground station.
 STRIKES = frozenset(
@@ -86,6 +84,7 @@ class Field:
         on_end: Callable[[Message], None],
     ) -> None:
         self.seed = plan.seed
+        self.body, self.other = BODY, OTHER
         self.rng = plan.rng
         self.fence = fence
         self.clock = clock
@@ -134,7 +133,7 @@ class Field:
             self._struck = True
             self._speed = float(np.linalg.norm(state.velocity))
             if self._fault in STRIKES:
-                FAULTS[self._fault].strike(cast("Flight", self))
+                FAULTS[self._fault].strike(cast(Struck, self))
         if self._struck and self.each is not None:
             self.each(now - self.onset)
         if self.gust.any():

@@ -24,7 +24,7 @@ from crazyarena.runner.campaign.plan import draw_plan
 from crazyarena.runner.campaign.setting import LAND_TIME, MISSION, PATIENCE
 from crazyarena.runner.campaign.udp import field as field_process
 from crazyarena.runner.campaign.udp import station as station_process
-from crazyarena.runner.json_child import JsonChild, Message
+from crazyarena.runner.campaign.udp.json_child import JsonChild, Message
 from crazyarena.safety.events import Action, SafetyEvent
 
 KILLED = "killed_process"

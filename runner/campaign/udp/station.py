@@ -1,7 +1,7 @@
 """The ground station of a campaign flight over UDP, in a process that can be killed.
 
-``python -m crazyarena.runner.campaign.udp.station`` talks as :mod:`crazyarena.runner.json_child`
-does. It is told ``fault``, ``seed`` and ``level_file``, then ``uri`` and ``endpoint`` once there is
+``python -m crazyarena.runner.campaign.udp.station`` talks as :mod:`.json_child` does. It
+is told ``fault``, ``seed`` and ``level_file``, then ``uri`` and ``endpoint`` once there is
 a vehicle. It connects as ``crazyarena fly`` does, with a flight process, makes the vehicle ready,
 answers ``ready``, is told ``go``, the host's time of the take-off, and flies a contestant's circuit
 until it is told to end; then it tells what the watchdog has done.
@@ -15,7 +15,7 @@ import queue
 import threading
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
@@ -28,20 +28,20 @@ from crazyarena.mocap.stamps import HostStamps
 from crazyarena.runner.campaign.faults import FAULTS
 from crazyarena.runner.campaign.plan import Plan, draw_plan
 from crazyarena.runner.campaign.setting import BODY, LAND_TIME, MISSION, RATE, VEHICLE
-from crazyarena.runner.crew import Crew, Timeouts
-from crazyarena.runner.flight_process.client import connected
-from crazyarena.runner.json_child import Message, Tell, converse
-from crazyarena.runner.realtime import quiet_collector
-from crazyarena.runner.rig import Rig
-from crazyarena.runner.safeguard import limits_for
-from crazyarena.runner.scheduler import Scheduler
-from crazyarena.runner.steady import steady
-from crazyarena.runner.tracked_world import TrackedWorld
+from crazyarena.runner.campaign.strikes.struck import Struck
+from crazyarena.runner.campaign.udp.json_child import Message, Tell, converse
+from crazyarena.runner.rig.flight_process.client import connected
+from crazyarena.runner.rig.rig import Rig
+from crazyarena.runner.rig.safeguard import limits_for
+from crazyarena.runner.timing.realtime import quiet_collector
+from crazyarena.runner.timing.scheduler import Scheduler
+from crazyarena.runner.timing.steady import steady
+from crazyarena.runner.trial.phase import Timeouts
+from crazyarena.runner.trial.phases import Crew
+from crazyarena.runner.trial.tracked_world import TrackedWorld
 from crazyarena.safety.events import SafetyEvent
+from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import PID_BRAKING, Limits
-
-if TYPE_CHECKING:
-    from crazyarena.runner.campaign.flight import Flight
 
 # What befalls the contestant and the control loop.
 STRIKES = frozenset(
@@ -103,6 +103,11 @@ class Station:
         self._struck = False
 
     @property
+    def fence(self) -> Fence:
+        """That of the arena."""
+        return self._guard.fence
+
+    @property
     def setpoint(self) -> c.FullState:
         """What the contestant's own flight wants now."""
         return self._plan.circuit.at(self.clock.now() - self._start)
@@ -129,7 +134,7 @@ class Station:
         if not self._struck and now >= self.onset:
             self._struck = True
             if self._fault in STRIKES:
-                FAULTS[self._fault].strike(cast("Flight", self))
+                FAULTS[self._fault].strike(cast(Struck, self))
         # What a fault does time and again it does where the radio is, if that is part of it.
         if self.each is not None and self._fault == "late_scheduler":
             self.each(now - self.onset)

@@ -1,0 +1,124 @@
+"""What a contestant's thinking costs, on whatever clock the trial runs.
+
+On a wall clock an answer is there when it is there. On a virtual clock the answer is waited for
+and then becomes due after the time it took (``measured``), after a set time (``fixed``), or at
+once (``free``); the last two make a dry run repeatable to the bit.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Protocol
+
+from crazyarena.clock import Clock, VirtualClock
+from crazyarena.errors import InputError
+from crazyarena.runner.contestant.dialogue import Answer, Contestant
+
+MEASURED, FREE, FIXED = "measured", "free", "fixed"
+_WALL_LIMIT = 30.0  # s of wall time for one answer whose duration does not count
+
+
+@dataclass(frozen=True, slots=True)
+class Compute:
+    """How compute time is charged to a virtual clock.
+
+    mode: ``measured``, ``free`` or ``fixed``; fixed: s per control step; factor: how much
+    slower the flight machine is than this one.
+    """
+
+    mode: str = MEASURED
+    fixed: float = 0.0
+    factor: float = 1.0
+
+    @property
+    def counts(self) -> bool:
+        """Whether thinking costs any time on the clock."""
+        return self.mode != FREE
+
+    def cost(self, seconds: float) -> float:
+        """What a step that took ``seconds`` is charged, s."""
+        if self.mode == FREE:
+            return 0.0
+        return self.factor * (self.fixed if self.mode == FIXED else seconds)
+
+    def __str__(self) -> str:
+        text = f"fixed={self.fixed * 1e3:g}" if self.mode == FIXED else self.mode
+        return text if self.factor == 1.0 else f"{text} x {self.factor:g}"
+
+
+def parse_compute(text: str, factor: float = 1.0) -> Compute:
+    """Read ``measured``, ``free`` or ``fixed=MS``; raises InputError for anything else."""
+    if not 0.0 < factor <= 1000.0:
+        raise InputError(f"compute factor: found {factor}; need a number above 0 (up to 1000)")
+    if text in (MEASURED, FREE):
+        return Compute(text, factor=factor)
+    match = re.fullmatch(r"fixed=([0-9]*\.?[0-9]+)(ms)?", text)
+    if match is None or float(match[1]) > 10_000.0:
+        raise InputError(f"compute: found {text!r}; write measured, free or fixed=MS (fixed=5)")
+    return Compute(FIXED, float(match[1]) * 1e-3, factor)
+
+
+class Waiter(Protocol):
+    """Waits on the clock for the answer to the last question."""
+
+    def asked(self) -> None:
+        """A question was put to the contestant just now."""
+        ...
+
+    def wait(self, deadline: float) -> Answer | None:
+        """The answer once it is there, with the clock at that time; None at ``deadline``."""
+        ...
+
+
+class _WallWaiter:
+    def __init__(self, contestant: Contestant, clock: Clock) -> None:
+        self._contestant = contestant
+        self._clock = clock
+
+    def asked(self) -> None:
+        return
+
+    def wait(self, deadline: float) -> Answer | None:
+        return self._contestant.wait(max(0.0, deadline - self._clock.now()))
+
+
+class _VirtualWaiter:
+    def __init__(
+        self, contestant: Contestant, clock: VirtualClock, compute: Compute, patience: float
+    ) -> None:
+        self._contestant = contestant
+        self._clock = clock
+        self._compute = compute
+        self._patience = patience  # s on the clock after which nobody waits any more
+        self._asked_at = 0.0
+        self._answer: Answer | None = None
+        self._ready = float("inf")
+
+    def asked(self) -> None:
+        self._asked_at = self._clock.now()
+        self._answer = None
+        limit = _WALL_LIMIT
+        if self._compute.mode == MEASURED:
+            limit = self._patience / self._compute.factor
+        answer = self._contestant.wait(limit)
+        self._answer = answer
+        self._ready = float("inf")
+        if answer is not None:
+            self._ready = self._asked_at + self._compute.cost(answer.seconds)
+
+    def wait(self, deadline: float) -> Answer | None:
+        if self._answer is None or self._ready > deadline:
+            self._clock.sleep_until(deadline)
+            return None
+        self._clock.sleep_until(self._ready)
+        answer, self._answer = self._answer, None
+        self._ready = float("inf")
+        return answer
+
+
+def make_waiter(contestant: Contestant, clock: Clock, compute: Compute, patience: float) -> Waiter:
+    """Waiter for a clock; ``patience`` s is when a missing answer ends the run anyway."""
+    if isinstance(clock, VirtualClock):
+        return _VirtualWaiter(contestant, clock, compute, patience + 0.05)
+    return _WallWaiter(contestant, clock)

@@ -1,0 +1,127 @@
+"""The contestant's controller, and how it is called where it lives."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crazyarena.errors import CommandError
+from crazyarena.levels.schema import Level
+from crazyarena.runner.contestant.contract_2022.command_check import checked
+from crazyarena.runner.contestant.contract_2022.info import Canvas, initial_info
+from crazyarena.runner.contestant.dialogue import Answer, Question
+from crazyarena.runner.contestant.interrupt import Interrupt
+from crazyarena.runner.contestant.submission import Submission, own_traceback
+
+Array = NDArray[np.float64]
+
+
+class Pilot:
+    """The controller object and how it is called; the same inside and outside of a sandbox."""
+
+    def __init__(self, submission: Submission) -> None:
+        self._submission = submission
+        self._canvas = Canvas()
+        self._controller: Any = None
+
+    def make(self, obs: list[Any], level: Level, start: Array) -> None:
+        info = initial_info(level, self._canvas, start)
+        self._controller = self._submission.make(list(obs), info, level.use_firmware, level.verbose)
+
+    @property
+    def learns(self) -> bool:
+        """Whether the controller has ``interStepLearn``."""
+        return hasattr(self._controller, "interStepLearn")
+
+    def answer(self, question: Question) -> Answer:
+        """Call the controller for one control step; never raises for its failures."""
+        started = time.perf_counter()
+        learned = started
+        where = "interStepLearn"
+        try:
+            if question.learn is not None and self.learns:
+                a = question.learn
+                self._controller.interStepLearn(a.action, a.state, a.reward, a.done, a.info)
+                learned = time.perf_counter()
+            asked = None
+            if question.obs is not None:
+                where = "cmdFirmware"
+                returned = self._controller.cmdFirmware(
+                    question.time, question.obs, question.reward, question.done, question.info
+                )
+                done = time.perf_counter()
+                asked = checked(returned, question.step)
+            else:
+                done = learned
+            return Answer(
+                question.step, asked, None, done - started, done - learned, learned - started
+            )
+        except CommandError as error:
+            text = str(error)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            text = f"step {question.step}: {where} raised\n{own_traceback(error)}"
+        return Answer(question.step, None, text, time.perf_counter() - started)
+
+    def hook(self, name: str) -> tuple[float, str | None]:
+        hook = getattr(self._controller, name, None)
+        if hook is None:
+            return 0.0, None
+        started = time.perf_counter()
+        try:
+            hook()
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            return time.perf_counter() - started, f"{name} raised\n{own_traceback(error)}"
+        return time.perf_counter() - started, None
+
+    def close(self) -> None:
+        self._canvas.close()
+
+
+class InProcess:
+    """A contestant that lives in this process: for dry runs of one's own code only."""
+
+    def __init__(self, submission: Submission) -> None:
+        self.digest = submission.digest
+        self.submission = submission
+        self.description = {"process": "that of the runner", "sandbox": []}
+        self.learns = False
+        self._pilot = Pilot(submission)
+        self._question: Question | None = None
+        self._interrupt = Interrupt()
+
+    def heed(self, interrupt: Interrupt) -> None:
+        self._interrupt = interrupt
+
+    def make(self, obs: list[Any], level: Level, start: Array) -> None:
+        with self._interrupt.at_once():
+            self._pilot.make(obs, level, start)
+        self.learns = self._pilot.learns
+
+    def ask(self, question: Question) -> None:
+        self._question = question
+
+    def wait(self, timeout: float) -> Answer | None:
+        question, self._question = self._question, None
+        if question is None:
+            return None
+        interrupt = self._interrupt
+        interrupt.in_controller = True
+        try:
+            return self._pilot.answer(question)
+        finally:
+            interrupt.in_controller = False
+
+    def hook(self, name: str) -> tuple[float, str | None]:
+        with self._interrupt.at_once():
+            return self._pilot.hook(name)
+
+    def close(self) -> None:
+        self._pilot.close()
+        self.submission.close()

@@ -1,0 +1,428 @@
+"""The runner's side of a contestant in a process of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pickle
+import select
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crazyarena.errors import CrazyarenaError, InputError
+from crazyarena.levels.schema import Level
+from crazyarena.runner.contestant.dialogue import Answer, Question
+from crazyarena.runner.contestant.interrupt import Interrupt
+from crazyarena.runner.contestant.sandbox import bubblewrap, quota, wire
+from crazyarena.runner.contestant.sandbox.box import Box
+from crazyarena.runner.contestant.sandbox.confine import interpreter_paths, package_paths, readable
+from crazyarena.runner.contestant.sandbox.limits import Limits
+from crazyarena.runner.contestant.submission import entry_file, submission_hash
+
+_NOBODY = 65534
+_START_TIMEOUT = 60.0  # s, for the interpreter to come up
+_LOOK = 0.25  # s, between looks at how many files there are, while nothing else happens
+_MIB = 2**20
+_THREADS = (
+    "OPENBLAS_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "NUMBA_NUM_THREADS",
+)
+
+
+# Tests of what happens on machines that allow no mounts set this to False.
+MOUNT = True
+
+
+class SandboxError(CrazyarenaError):
+    """The contestant's process could not be confined as asked for, or not started."""
+
+
+class Sandboxed:
+    """A :class:`~crazyarena.runner.contestant.dialogue.Contestant` behind walls.
+
+    Parameters
+    ----------
+    submission: folder or .py file; it is copied, nothing is ever written to it.
+    limits: resources of the process.
+    require: refuse to go on unless files, network and other processes are shut off.
+
+    Raises
+    ------
+    InputError: no submission there, or importing it failed (with its traceback).
+    SandboxError: ``require`` and a wall is missing, or the process does not start.
+    """
+
+    def __init__(
+        self, submission: Path, limits: Limits | None = None, *, require: bool = False
+    ) -> None:
+        self.path = submission.expanduser().resolve()
+        self._shown = entry_file(self.path)
+        self.digest = submission_hash(self.path)
+        self._limits = limits or Limits()
+        self._step: int | None = None
+        self._asked_at = 0.0
+        self._inner: int | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._channel: socket.socket | None = None
+        self._files: int | None = None
+        self._quota: subprocess.Popen[str] | None = None
+        self._box = Box(self.path, self._limits.copy_size)
+        try:
+            self._start()
+            self.description = self._await_ready(require)
+            self._request("load", None, self._limits.make_timeout, "importing the submission")
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def announcement(self) -> str:
+        """What is in force, for the terminal."""
+        walls = ", ".join(self.description["sandbox"]) or "none"
+        missing = self.description["missing"]
+        text = f"Contestant in its own process; sandbox: {walls}"
+        return text if not missing else f"{text}. NOT shut off: {', '.join(missing)}"
+
+    # Contestant
+
+    learns = True
+
+    def heed(self, interrupt: Interrupt) -> None:
+        """Nothing to interrupt: its code runs elsewhere."""
+
+    def make(self, obs: list[Any], level: Level, start: NDArray[np.float64]) -> None:
+        # Both would tell where gates are that nobody has seen yet.
+        still = tuple(gate.model_copy(update={"motion": None}) for gate in level.track.gates)
+        track = level.track.model_copy(update={"gates": still})
+        public = level.model_copy(update={"seed": 0, "track": track})
+        payload = (obs, public, start)
+        self._request("make", payload, self._limits.make_timeout, "Controller(...)")
+
+    def ask(self, question: Question) -> None:
+        self._step = question.step
+        self._asked_at = time.perf_counter()
+        self._send("ask", question)
+
+    def wait(self, timeout: float) -> Answer | None:
+        if self._step is None:
+            return None
+        try:
+            message = self._receive(timeout)
+        except _Dead as error:
+            return self._failure(str(error))
+        except wire.ChannelError as error:
+            self.kill()
+            return self._failure(f"its process wrote garbage to the runner: {error}")
+        if message is None:
+            return None
+        seconds = time.perf_counter() - self._asked_at
+        if isinstance(message, wire.Text) and message.kind == wire.FAILED:
+            if message.number == self._step:
+                self._step = None
+                return Answer(message.number, None, self._named(message.text), seconds)
+        elif isinstance(message, Answer) and message.step == self._step:
+            self._step = None
+            message.seconds = seconds
+            return message
+        self.kill()
+        return self._failure("its process sent an answer that was not asked for")
+
+    def hook(self, name: str) -> tuple[float, str | None]:
+        started = time.perf_counter()
+        try:
+            self._send("hook", name)
+            message = self._receive(self._limits.hook_timeout)
+            if self._step is not None and not isinstance(message, int | None):
+                # The run ended before its last question was answered.
+                self._step = None
+                message = self._receive(self._limits.hook_timeout)
+        except (_Dead, wire.ChannelError) as error:
+            return time.perf_counter() - started, f"{name}: {error}{self._last_words()}"
+        seconds = time.perf_counter() - started
+        if message is None:
+            self.kill()
+            return seconds, f"{name} did not return within {self._limits.hook_timeout:g} s"
+        if not isinstance(message, wire.Text) or message.kind != wire.HOOKED:
+            self.kill()
+            return seconds, f"{name}: its process sent something else"
+        return seconds, self._named(message.text) or None
+
+    def close(self) -> None:
+        """Kill the process with all it started and delete its files; idempotent."""
+        self.kill()
+        if self._channel is not None:
+            self._channel.close()
+            self._channel = None
+        if self._files is not None:
+            os.close(self._files)
+            self._files = None
+        self._box.remove()
+
+    # The process
+
+    def kill(self) -> None:
+        """End the process and everything it started, now."""
+        process = self._process
+        if process is None:
+            return
+        for pid in (self._inner, process.pid):
+            if pid is not None and process.poll() is None:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.kill(pid, signal.SIGKILL)
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=10.0)
+        if self._quota is not None:
+            with self._quota as watch:
+                watch.kill()
+            self._quota = None
+
+    @property
+    def pid(self) -> int | None:
+        """Process id, None before it was started."""
+        return None if self._process is None else self._process.pid
+
+    def _start(self) -> None:
+        box, limits = self._box, self._limits
+        bwrap = bubblewrap.program()
+        root = os.getuid() == 0
+        # bubblewrap shows the interpreter to everybody, wherever it is.
+        drop = root and (bwrap is not None or _open_to_others())
+        user = _NOBODY if drop else os.getuid()
+        if drop:
+            box.give_to(_NOBODY, _NOBODY)
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._channel = ours
+        command: list[str] = []
+        size, inodes = box.size + limits.disk, box.count + limits.files
+        if bwrap is not None:
+            own = bubblewrap.can_limit(bwrap)
+            disk = "bubblewrap" if own else "wrapped"
+            command = bubblewrap.prefix(
+                bwrap, readable(), box.files, box.work, root, box.given, size if own else None
+            )
+        else:
+            disk = "mount" if MOUNT else "none"
+        command += [sys.executable, "-s", "-m", "crazyarena.runner.contestant.sandbox.child"]
+        command += [str(theirs.fileno()), str(box.files), str(box.given), str(box.submission)]
+        command += [disk, str(user), json.dumps(asdict(limits)), str(size), str(inodes)]
+        with theirs, open(box.output, "ab") as output:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                cwd=box.work,
+                env=self._environment(),
+                pass_fds=(theirs.fileno(),),
+                start_new_session=True,
+            )
+
+    def _environment(self) -> dict[str, str]:
+        box = self._box
+        kept = {k: os.environ[k] for k in ("PATH", "LANG", "LC_ALL", "TZ") if k in os.environ}
+        return {
+            **kept,
+            "HOME": str(box.home),
+            "TMPDIR": str(box.tmp),
+            "XDG_CACHE_HOME": str(box.home / ".cache"),
+            "NUMBA_CACHE_DIR": str(box.home / ".numba"),
+            "MPLCONFIGDIR": str(box.home / ".matplotlib"),
+            "MPLBACKEND": "Agg",
+            "PYTHONHASHSEED": "0",
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "PYTHONUNBUFFERED": "1",
+            **dict.fromkeys(_THREADS, "1"),
+        }
+
+    def _await_ready(self, require: bool) -> dict[str, Any]:
+        try:
+            message = self._receive_ready()
+            if isinstance(message, int):
+                self._inner = message
+                message = self._receive_ready()
+            if not isinstance(message, wire.Text) or message.kind != wire.READY:
+                raise wire.ChannelError("it did not report to be ready")
+            report = json.loads(message.text)
+        except (_Dead, wire.ChannelError, ValueError) as error:
+            raise SandboxError(
+                f"{self._shown}: the contestant's process did not start: {error}"
+                f"{self._last_words()}"
+            ) from None
+        if require and not report["complete"]:
+            raise SandboxError(
+                "--require-sandbox: this machine does not shut off "
+                f"{', '.join(report['missing'])}; install bubblewrap, or use a kernel with "
+                "Landlock and seccomp"
+            )
+        notes = list(report["notes"])
+        if os.getuid() == 0 and report["processes_limited"]:
+            notes.append("unprivileged user")
+        if not report["processes_limited"]:
+            notes.append("processes not counted (super-user)")
+        disk = f"disk {self._limits.disk // _MIB} MiB"
+        if report["own_files"]:
+            notes.append(f"{disk} (file system of its own)")
+        else:
+            notes.append(f"{disk} (watched)")
+            self._watch_files()
+        limits = asdict(self._limits)
+        return {
+            "process": "its own",
+            "sandbox": notes,
+            "missing": report["missing"],
+            "limits": limits,
+        }
+
+    def _receive_ready(self) -> Answer | wire.Text | int | None:
+        """As :meth:`_receive`; its own folder comes along, before it runs foreign code."""
+        assert self._channel is not None
+        self._channel.settimeout(_START_TIMEOUT)
+        try:
+            packet, files, _, _ = socket.recv_fds(self._channel, wire.MAX_PACKET, 1)
+        except TimeoutError:
+            return None
+        except OSError as error:
+            raise _Dead(self._obituary(str(error))) from None
+        if files:
+            self._files = files[0]
+            os.set_inheritable(self._files, False)
+        if not packet:
+            raise _Dead(self._obituary("it closed the channel"))
+        return wire.decode(packet)
+
+    def _watch_files(self) -> None:
+        """Measure from a process beside this one: the file system sets no limit."""
+        assert self._process is not None
+        if self._files is not None:
+            os.close(self._files)
+            self._files = None
+        box, limits = self._box, self._limits
+        numbers = (box.size + limits.disk, box.count + limits.files, self._process.pid)
+        self._quota = subprocess.Popen(
+            [sys.executable, "-I", "-S", quota.__file__, str(box.files), *map(str, numbers)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def _excess(self) -> str | None:
+        """What it has too much of, in words. Its own file system bounds the bytes by itself."""
+        if self._files is not None:
+            status = os.fstatvfs(self._files)
+            limit = self._box.count + self._limits.files
+            return quota.words(0, status.f_files - status.f_ffree, 0, limit)
+        if self._quota is not None and self._quota.stdout is not None:
+            # It speaks before it ends anybody.
+            said, _, _ = select.select([self._quota.stdout], [], [], 0.0)
+            if said:
+                return self._quota.stdout.readline().strip() or "nobody watches its disk any more"
+        return None
+
+    def _request(self, verb: str, payload: object, timeout: float, what: str) -> None:
+        """Send, wait for success; raises InputError with the reason otherwise."""
+        try:
+            self._send(verb, payload)
+            message = self._receive(timeout)
+        except (_Dead, wire.ChannelError) as error:
+            self.kill()
+            raise InputError(f"{self._shown}: {what}: {error}{self._last_words()}") from None
+        if isinstance(message, wire.Text) and message.kind == wire.MADE:
+            return
+        self.kill()
+        if message is None:
+            raise InputError(f"{self._shown}: {what} did not return within {timeout:g} s")
+        if isinstance(message, wire.Text) and message.kind == wire.FAILED:
+            raise InputError(self._named(message.text))
+        raise InputError(f"{self._shown}: {what}: its process sent something else")
+
+    def _named(self, text: str) -> str:
+        """Tracebacks with the submission's own path instead of the copy's."""
+        return text.replace(str(self._box.submission), str(self.path))
+
+    def _send(self, verb: str, payload: object) -> None:
+        assert self._channel is not None
+        self._channel.settimeout(5.0)
+        # If the other end is gone the next receive says so, with the reason.
+        with contextlib.suppress(OSError):
+            self._channel.send(pickle.dumps((verb, payload), protocol=5))
+
+    def _receive(self, timeout: float) -> Answer | wire.Text | int | None:
+        assert self._channel is not None
+        left = max(0.0, timeout)
+        while True:
+            excess = self._excess()
+            if excess is not None:
+                self.kill()
+                raise _Dead(excess)
+            slice_ = min(left, _LOOK)
+            left -= slice_
+            self._channel.settimeout(slice_)
+            try:
+                packet = self._channel.recv(wire.MAX_PACKET)
+                break
+            except (TimeoutError, BlockingIOError):
+                if left <= 0.0:
+                    return None
+            except OSError as error:
+                raise _Dead(self._obituary(str(error))) from None
+        if not packet:
+            raise _Dead(self._obituary("it closed the channel"))
+        return wire.decode(packet)
+
+    def _obituary(self, otherwise: str) -> str:
+        assert self._process is not None
+        excess = self._excess()
+        if excess is not None:
+            self.kill()
+            return excess
+        try:
+            code = self._process.wait(timeout=0.5)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            return otherwise
+        # bubblewrap tells a signal as 128 and its number, as a shell does.
+        number = -code if code < 0 else code - 128 if code > 128 else 0
+        if number:
+            with contextlib.suppress(ValueError):
+                return f"its process was ended by {signal.Signals(number).name}"
+        return f"its process ended with exit code {code}"
+
+    def _failure(self, text: str) -> Answer:
+        step, self._step = self._step or 0, None
+        seconds = time.perf_counter() - self._asked_at
+        return Answer(step, None, f"step {step}: {text}{self._last_words()}", seconds)
+
+    def _last_words(self) -> str:
+        words = self._box.last_output().strip()
+        return f"\nIts last output:\n{words}" if words else ""
+
+
+class _Dead(Exception):
+    """The contestant's process is no more."""
+
+
+def _open_to_others() -> bool:
+    """Whether an unprivileged user can read the interpreter and this package."""
+    return all(
+        parent.stat().st_mode & stat.S_IXOTH
+        for path in (*interpreter_paths(), *package_paths())
+        if path.exists()
+        for parent in (path, *path.parents)
+    )

@@ -1,0 +1,263 @@
+"""Loads a submission the way the competition did, and leaves no trace of it afterwards.
+
+A submission is a folder with ``edit_this.py`` or a single ``.py`` file, with a class
+``Controller``. Its folder is importable both directly (``import custom_utils``) and as the
+package ``competition`` (``from competition.custom_utils import ...``).
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import hashlib
+import importlib
+import importlib.machinery
+import importlib.util
+import os
+import sys
+import traceback
+import types
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from crazyarena.errors import InputError
+from crazyarena.runner.contestant.contract_2022 import shims
+
+_ENTRY = "edit_this"
+_IGNORED = {"__pycache__", ".git", "results", "runs"}
+
+
+class ControllerError(Exception):
+    """The submission's own code raised while it flew; ``details`` holds its traceback."""
+
+    def __init__(self, message: str, details: str) -> None:
+        super().__init__(message)
+        self.details = details
+
+
+def entry_file(path: Path) -> Path:
+    """Return the file that holds ``class Controller``; raises InputError if there is none."""
+    if path.is_dir():
+        file = path / f"{_ENTRY}.py"
+        if not file.is_file():
+            others = sorted(p.name for p in path.glob("*.py"))
+            hint = f"; it holds {', '.join(others[:6])}" if others else "; it holds no .py file"
+            raise InputError(
+                f"{path}: no {_ENTRY}.py in this folder{hint}. "
+                "Pass the file with class Controller, or a folder with edit_this.py"
+            )
+        return file
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder. Pass a submission's folder or .py file")
+    if path.suffix != ".py":
+        raise InputError(f"{path}: not a Python file. Pass a submission's folder or .py file")
+    return path
+
+
+def submission_hash(path: Path) -> str:
+    """SHA-256 over the submission's entry file, or over all files of its folder.
+
+    Compiled files, results and version control do not count.
+    """
+    digest = hashlib.sha256()
+    if path.is_file():
+        digest.update(path.read_bytes())
+        return digest.hexdigest()
+    for root, folders, files in os.walk(path):
+        folders[:] = sorted(f for f in folders if f not in _IGNORED and not f.startswith("."))
+        for name in sorted(files):
+            file = Path(root) / name
+            if name.startswith(".") or not file.is_file():
+                continue
+            digest.update(file.relative_to(path).as_posix().encode() + b"\0")
+            digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def _imports_relatively(file: Path) -> bool:
+    """True when the file needs a parent package: ``from .x import y`` outside of any ``try``."""
+    try:
+        tree = ast.parse(file.read_bytes(), filename=str(file))
+    except (SyntaxError, ValueError) as error:
+        raise InputError(f"{file}: not valid Python: {error}") from error
+    return any(isinstance(node, ast.ImportFrom) and node.level > 0 for node in tree.body)
+
+
+def _own_names(folder: Path) -> set[str]:
+    """Top-level names that ``import`` would find in the submission's folder."""
+    names = set()
+    for item in folder.iterdir():
+        if item.suffix == ".py":
+            names.add(item.stem)
+        elif item.is_dir() and item.name.isidentifier() and item.name not in _IGNORED:
+            names.add(item.name)
+    return names - set(sys.stdlib_module_names)
+
+
+def _is_installed(module: types.ModuleType) -> bool:
+    file = getattr(module, "__file__", None) or ""
+    return "site-packages" in file or "dist-packages" in file
+
+
+class Submission:
+    """A loaded submission; close it (or leave its ``with`` block) to unload it.
+
+    While it is open, the working directory is ``workdir``, the submission's folder is on
+    ``sys.path``, and the shims of :mod:`.contract_2022.shims` are in place.
+
+    Raises
+    ------
+    InputError: no such file, no ``Controller``, or an error while it was imported.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], workdir: str | os.PathLike[str]) -> None:
+        self.path = Path(path).expanduser().resolve()
+        self.file = entry_file(self.path)
+        self.folder = self.file.parent
+        self.digest = submission_hash(self.path)
+        needs_package = _imports_relatively(self.file)
+        self.workdir = Path(workdir).resolve()
+        self.workdir.mkdir(parents=True, exist_ok=True)
+        self._undo = contextlib.ExitStack()
+        try:
+            self._enter()
+            self.controller_class = self._load(needs_package)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Submission:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Unload: modules, paths, shims and working directory are as before. Idempotent."""
+        self._undo.close()
+
+    def _enter(self) -> None:
+        names = {_ENTRY, "competition", "competition_utils", "safe_control_gym"}
+        names |= _own_names(self.folder)
+        names -= {"crazyarena"}
+        aside = {
+            name: module
+            for name, module in sys.modules.items()
+            if name.partition(".")[0] in names and not _is_installed(module)
+        }
+        for name in aside:
+            del sys.modules[name]
+        before = set(sys.modules)
+        path_before = list(sys.path)
+        cwd = os.getcwd()
+        write_bytecode = sys.dont_write_bytecode
+
+        def restore() -> None:
+            os.chdir(cwd)
+            sys.path[:] = path_before
+            sys.dont_write_bytecode = write_bytecode
+            for name in set(sys.modules) - before:
+                if self._is_mine(name, sys.modules[name], names):
+                    del sys.modules[name]
+            for entry in list(sys.path_importer_cache):
+                if Path(entry).is_relative_to(self.folder):
+                    del sys.path_importer_cache[entry]
+            sys.modules.update(aside)
+
+        self._undo.callback(restore)
+        self._undo.enter_context(shims.installed())
+        # Compiled files beside the submission would change it, and its folder may be read-only.
+        sys.dont_write_bytecode = True
+        sys.path.insert(0, str(self.folder))
+        importlib.invalidate_caches()
+        aliases = ["competition"]
+        if (
+            self.folder.name.isidentifier()
+            and self.folder.name not in sys.modules
+            and self.folder.name not in sys.stdlib_module_names
+            and self.folder.name not in names
+        ):
+            aliases.append(self.folder.name)
+        for alias in aliases:
+            spec = importlib.machinery.ModuleSpec(alias, None, is_package=True)
+            package = importlib.util.module_from_spec(spec)
+            package.__path__ = [str(self.folder)]
+            sys.modules[alias] = package
+        os.chdir(self.workdir)
+
+    def _is_mine(self, name: str, module: types.ModuleType, names: set[str]) -> bool:
+        if name.partition(".")[0] in names or name == self.folder.name:
+            return not _is_installed(module)
+        file = getattr(module, "__file__", None)
+        if file is None:
+            paths: Sequence[str] = list(getattr(module, "__path__", ()))
+            return any(Path(p).is_relative_to(self.folder) for p in paths)
+        path = Path(file)
+        inside = path.is_relative_to(self.folder) or path.is_relative_to(shims.CONTRACT)
+        return inside and not _is_installed(module) and not name.startswith("crazyarena")
+
+    def _load(self, needs_package: bool) -> type:
+        name = self.file.stem
+        taken = name in sys.modules or name in sys.stdlib_module_names
+        if not name.isidentifier() or taken:
+            name = _ENTRY
+        if needs_package:
+            name = f"competition.{name}"
+        spec = importlib.util.spec_from_file_location(name, self.file)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        try:
+            spec.loader.exec_module(module)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            raise InputError(
+                f"{self.file}: importing the submission failed: "
+                f"{type(error).__name__}: {error}\n{own_traceback(error)}"
+            ) from error
+        controller = getattr(module, "Controller", None)
+        if not isinstance(controller, type):
+            classes = [k for k, v in vars(module).items() if isinstance(v, type)]
+            found = f"classes found: {', '.join(classes)}" if classes else "no class found"
+            raise InputError(f"{self.file}: no class Controller ({found}). Add `class Controller`")
+        if not callable(getattr(controller, "cmdFirmware", None)):
+            raise InputError(
+                f"{self.file}: class Controller has no method "
+                "cmdFirmware(time, obs, reward, done, info). Add it"
+            )
+        return controller
+
+    def make(
+        self,
+        initial_obs: list[float],
+        initial_info: dict[str, Any],
+        use_firmware: bool = True,
+        verbose: bool = False,
+    ) -> Any:
+        """Construct the controller; raises InputError with its traceback if it raises."""
+        try:
+            return self.controller_class(initial_obs, initial_info, use_firmware, verbose=verbose)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            raise InputError(
+                f"{self.file}: Controller(...) raised {type(error).__name__}: {error}\n"
+                f"{own_traceback(error)}"
+            ) from error
+
+
+def own_traceback(error: BaseException) -> str:
+    """Traceback without the frames of this package and of the import system."""
+    here = str(Path(__file__).parents[1])
+    frames = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if not frame.filename.startswith("<frozen importlib")
+        and (not frame.filename.startswith(here) or frame.filename.startswith(str(shims.CONTRACT)))
+    ]
+    lines = ["Traceback (most recent call last):\n", *traceback.format_list(frames)]
+    lines += traceback.format_exception_only(type(error), error)
+    return "".join(lines).rstrip()

@@ -1,0 +1,1 @@
+"""What is kept of a flight: recordings, exports, tables, figures, comparisons."""

@@ -1,0 +1,233 @@
+"""Two groups of flights beside each other, as in the published sim-to-real comparison.
+
+Flights are aligned by their own time (0 is the start of the run) and compared over the time that
+all of them cover: mean path of each group, their difference, its root mean square per axis, and
+the times of gates and goal.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crazyarena.errors import InputError
+from crazyarena.runner.records import export
+
+Array = NDArray[np.float64]
+
+_STEP = 0.01  # s, of the common time line
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One recorded flight: time (n,) s, position (n, 3) m, gate times, and how long it took."""
+
+    file: Path
+    time: Array
+    position: Array
+    gate_times: Array
+    duration: float
+    termination: str
+    missed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Group a against group b on a common time line.
+
+    Attributes
+    ----------
+    time: (n,) s. mean_a, mean_b: (n, 3) m, mean path of each group; std_a, std_b: (n, 3).
+    difference: (n, 3) m, b minus a; distance: (n,) m, its length.
+    """
+
+    names: tuple[str, str]
+    groups: tuple[list[Flight], list[Flight]]
+    time: Array
+    mean_a: Array
+    mean_b: Array
+    std_a: Array
+    std_b: Array
+
+    @property
+    def difference(self) -> Array:
+        return self.mean_b - self.mean_a
+
+    @property
+    def distance(self) -> Array:
+        return np.linalg.norm(self.difference, axis=1)
+
+    def summary(self) -> dict[str, Any]:
+        """Every figure of the table, as plain data; lengths m, times s."""
+        a, b = self.groups
+        duration_a = float(np.mean([f.duration for f in a]))
+        duration_b = float(np.mean([f.duration for f in b]))
+        gates = min(len(f.gate_times) for f in (*a, *b))
+        gate_a = np.mean([f.gate_times[:gates] for f in a], axis=0)
+        gate_b = np.mean([f.gate_times[:gates] for f in b], axis=0)
+        return {
+            "flights": [len(a), len(b)],
+            "compared_time": float(self.time[-1]),
+            "mean_distance": float(self.distance.mean()),
+            "max_distance": float(self.distance.max()),
+            "rmse": np.sqrt((self.difference**2).mean(axis=0)).tolist(),
+            "mean_difference": self.difference.mean(axis=0).tolist(),
+            "spread": [float(self.std_a.mean()), float(self.std_b.mean())],
+            "duration": [duration_a, duration_b],
+            "duration_ratio": duration_b / duration_a if duration_a > 0 else float("nan"),
+            "gate_time_difference": (gate_b - gate_a).tolist(),
+            "missed_ticks": [
+                float(np.mean([f.missed for f in a])),
+                float(np.mean([f.missed for f in b])),
+            ],
+        }
+
+
+def load(run: Path) -> list[Flight]:
+    """Flights of a results folder, of a folder of such folders, or of one recording."""
+    if run.is_dir() and not any(run.glob("*.mcap*")):
+        folders = sorted({file.parent for file in run.rglob("*.mcap")})
+        if not folders:
+            raise InputError(f"{run}: no recordings in this folder or below it")
+        return [flight for folder in folders for flight in load(folder)]
+    return [_flight(file) for file in export.recordings(run)]
+
+
+def _flight(file: Path) -> Flight:
+    recording = export.read(file)
+    states = recording.tables.get("state")
+    if states is None or len(states) < 2:
+        raise InputError(f"{file}: holds no flight")
+    columns = recording.columns["state"]
+    first = columns.index("position_0")
+    time = states[:, columns.index("time")]
+    verdicts = recording.tables.get("referee")
+    duration = float(time[-1])
+    if verdicts is not None and len(verdicts):
+        duration = float(verdicts[-1, recording.columns["referee"].index("time")])
+    flown = time <= duration
+    termination = ""
+    result = file.parent / "result.json"
+    if result.is_file():
+        for episode in json.loads(result.read_text())["episodes"]:
+            if episode["files"].get("recording") == file.name:
+                termination = episode["termination"]
+    events = [e["event"] for e in recording.events]
+    return Flight(
+        file,
+        time[flown],
+        states[flown][:, first : first + 3],
+        np.array([e["time"] for e in recording.events if e["event"] == "gate passed"]),
+        duration,
+        termination,
+        events.count("deadline missed"),
+    )
+
+
+def compare(
+    a: Sequence[Path], b: Sequence[Path], names: tuple[str, str] = ("a", "b")
+) -> Comparison:
+    """Compare the flights of two groups of runs; raises InputError if one holds none."""
+    groups = tuple([flight for run in group for flight in load(run)] for group in (a, b))
+    for name, flights in zip(names, groups, strict=True):
+        if not flights:
+            raise InputError(f"compare: no flights in group {name}")
+    begin = max(float(f.time[0]) for group in groups for f in group)
+    end = min(float(f.time[-1]) for group in groups for f in group)
+    if end - begin < _STEP:
+        raise InputError("compare: the flights have no time in common")
+    time = np.arange(begin, end, _STEP)
+    paths = [np.stack([_resampled(f, time) for f in group]) for group in groups]
+    return Comparison(
+        names,
+        (groups[0], groups[1]),
+        time,
+        paths[0].mean(axis=0),
+        paths[1].mean(axis=0),
+        paths[0].std(axis=0),
+        paths[1].std(axis=0),
+    )
+
+
+def _resampled(flight: Flight, time: Array) -> Array:
+    return np.stack([np.interp(time, flight.time, axis) for axis in flight.position.T], axis=1)
+
+
+def table(comparison: Comparison) -> Any:
+    """Rich table of :meth:`Comparison.summary`."""
+    from rich import box
+    from rich.table import Table
+
+    s = comparison.summary()
+    a, b = comparison.names
+    shown = Table(box=box.SIMPLE, header_style="bold", show_header=True, pad_edge=False)
+    shown.add_column(f"{b} against {a}")
+    shown.add_column("", justify="right")
+    rows = [
+        ("flights", f"{s['flights'][1]} / {s['flights'][0]}"),
+        ("time compared", f"{s['compared_time']:.2f} s"),
+        ("mean distance of the mean paths", f"{100 * s['mean_distance']:.2f} cm"),
+        ("largest", f"{100 * s['max_distance']:.2f} cm"),
+        ("RMSE x, y, z", ", ".join(f"{100 * v:.2f}" for v in s["rmse"]) + " cm"),
+        ("mean difference x, y, z", ", ".join(f"{100 * v:+.2f}" for v in s["mean_difference"])
+         + " cm"),
+        (f"spread of {a}, {b}", ", ".join(f"{100 * v:.2f}" for v in s["spread"]) + " cm"),
+        (f"duration of {a}, {b}", ", ".join(f"{v:.3f}" for v in s["duration"]) + " s"),
+        ("duration", f"{100 * (s['duration_ratio'] - 1):+.2f} %"),
+        ("gate times", ", ".join(f"{1e3 * v:+.0f}" for v in s["gate_time_difference"]) + " ms"),
+        (f"missed ticks of {a}, {b}", ", ".join(f"{v:.1f}" for v in s["missed_ticks"])),
+    ]  # fmt: skip
+    for row in rows:
+        shown.add_row(*row)
+    return shown
+
+
+def save_figure(file: Path, comparison: Comparison) -> None:
+    """Write a PNG: both groups from above, over time, and their distance."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 7), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(4, 2, width_ratios=[1.1, 1])
+    top = figure.add_subplot(grid[:, 0])
+    colours = ("tab:blue", "tab:red")
+    for flights, colour, name in zip(comparison.groups, colours, comparison.names, strict=True):
+        for i, flight in enumerate(flights):
+            label = f"{name} ({len(flights)})" if i == 0 else None
+            top.plot(*flight.position[:, :2].T, color=colour, lw=0.8, alpha=0.6, label=label)
+    top.set_aspect("equal")
+    top.set_xlabel("x [m]")
+    top.set_ylabel("y [m]")
+    top.grid(True, alpha=0.3)
+    top.legend(loc="upper right", fontsize=8)
+    means = (comparison.mean_a, comparison.mean_b)
+    stds = (comparison.std_a, comparison.std_b)
+    first = None
+    for i, axis_name in enumerate("xyz"):
+        axis = figure.add_subplot(grid[i, 1], sharex=first)
+        first = first or axis
+        for mean, std, colour in zip(means, stds, colours, strict=True):
+            axis.plot(comparison.time, mean[:, i], color=colour, lw=1)
+            axis.fill_between(
+                comparison.time,
+                mean[:, i] - std[:, i],
+                mean[:, i] + std[:, i],
+                color=colour,
+                alpha=0.2,
+                lw=0,
+            )
+        axis.set_ylabel(f"{axis_name} [m]")
+        axis.grid(True, alpha=0.3)
+    last = figure.add_subplot(grid[3, 1], sharex=first)
+    last.plot(comparison.time, 100 * comparison.distance, color="black", lw=1)
+    last.set_ylabel("distance [cm]")
+    last.set_xlabel("time [s]")
+    last.grid(True, alpha=0.3)
+    figure.savefig(file)

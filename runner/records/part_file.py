@@ -1,0 +1,69 @@
+"""The beginning of a recording, written while the flight goes on.
+
+A disk may take its time. It is waited for in a thread, so that no tick is.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+
+from crazyarena.runner.timing.realtime import SERVING, is_raised, raise_priority
+
+_PATIENCE = 30.0  # s for the disk to take the rest
+
+
+class PartFile:
+    """Appends to a file, which is made at once.
+
+    What the disk refuses later ends it quietly: the whole recording is still in memory.
+
+    Parameters
+    ----------
+    path: the file.
+    beginning: written before this returns, so that what is there can be read from then on.
+
+    Attributes
+    ----------
+    trouble: that refusal, or None.
+
+    Raises
+    ------
+    OSError: the file cannot be made.
+    """
+
+    def __init__(self, path: Path, beginning: bytes) -> None:
+        self.path = path
+        self.trouble: OSError | None = None
+        path.write_bytes(beginning)
+        self._stream = open(path, "ab", buffering=0)  # noqa: SIM115 - closed by close()
+        self._queue: queue.SimpleQueue[tuple[bytes, bool] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+        self._thread.start()
+
+    def append(self, pieces: Iterable[bytes | memoryview]) -> None:
+        """Write as soon as the disk can; returns at once."""
+        self._queue.put((b"".join(pieces), is_raised()))
+
+    def close(self) -> None:
+        """Wait until everything is written. Idempotent."""
+        self._queue.put(None)
+        self._thread.join(_PATIENCE)
+        self._stream.close()
+
+    def _run(self) -> None:
+        in_flight = False
+        while (item := self._queue.get()) is not None:
+            data, raised = item
+            if raised and not in_flight:
+                # Not to be put aside by other programs while it holds the interpreter's lock.
+                in_flight = True
+                raise_priority(SERVING)
+            left = memoryview(data)
+            while left and self.trouble is None:
+                try:
+                    left = left[self._stream.write(left) :]
+                except OSError as error:
+                    self.trouble = error

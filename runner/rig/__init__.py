@@ -1,0 +1,1 @@
+"""Clock, vehicle link, cameras and what guards them, simulated or real."""

@@ -1,0 +1,51 @@
+"""Opens the pose source that the user names on the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from crazyarena.clock import Clock
+from crazyarena.errors import InputError
+from crazyarena.mocap.source import PoseSource, SourceSpec
+
+
+def parse_options(pairs: Sequence[str]) -> dict[str, str]:
+    """Read ``KEY=VALUE`` arguments."""
+    options = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals or not key:
+            raise InputError(f"--option: found {pair!r}; write KEY=VALUE")
+        options[key] = value
+    return options
+
+
+def named_source(kind: str, host: str | None, pairs: Sequence[str]) -> SourceSpec:
+    """The source of ``--mocap``, ``--host`` and ``--option``, to be opened."""
+    options: dict[str, Any] = dict(parse_options(pairs))
+    if kind == "zenoh":
+        for key in ("connect", "listen"):
+            if key in options:
+                options[key] = options[key].split(",")
+        if host is not None:
+            options["connect"] = [host]
+    else:
+        if host is not None and kind != "replay":
+            options["hostname"] = host
+        for key in ("latency", "stall_after", "retry_after", "connect_timeout", "speed"):
+            if key in options:
+                try:
+                    options[key] = float(options[key])
+                except ValueError:
+                    raise InputError(
+                        f"--option {key}: found {options[key]!r}; need a number"
+                    ) from None
+    return SourceSpec(kind, options)
+
+
+def open_named_source(
+    kind: str, host: str | None, pairs: Sequence[str], clock: Clock
+) -> PoseSource:
+    """Open the source of ``--mocap``, ``--host`` and ``--option``."""
+    return named_source(kind, host, pairs).open(clock)

@@ -1,0 +1,101 @@
+"""A vehicle over its link (radio, USB or UDP), a camera system, and what guards the two."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from crazyarena.clock import WallClock
+from crazyarena.crazyswarm_compat.backend import Backend
+from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
+from crazyarena.levels.schema import Level
+from crazyarena.mocap.pipeline import PosePipeline
+from crazyarena.mocap.source import SourceSpec
+from crazyarena.runner.rig.rig import EXTERNAL_POSE_RATE, FrameListeners, make_pipeline
+from crazyarena.runner.rig.safeguard import Safeguard
+from crazyarena.safety.limits import Limits
+
+
+@dataclass(frozen=True, slots=True)
+class HardwareSetup:
+    """What is to be connected; plain data, for another process.
+
+    Attributes
+    ----------
+    uri: link of the vehicle, as cflib opens it.
+    vehicle, body: its id and its name in the camera system.
+    origin: of the session's clock.
+    real_time: ask for locked memory and real-time scheduling.
+    """
+
+    level: Level
+    uri: str
+    source: SourceSpec
+    vehicle: int
+    body: str
+    origin: float
+    limits: Limits | None = None
+    real_time: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Hardware:
+    """Connected and running; ``backend`` is behind the command gate."""
+
+    clock: WallClock
+    backend: Backend
+    pipeline: PosePipeline
+    listeners: FrameListeners
+    safeguard: Safeguard
+    _closers: ExitStack
+
+    def close(self) -> None:
+        """Release everything, last built first; idempotent."""
+        self._closers.close()
+
+
+def connect(setup: HardwareSetup) -> Hardware:
+    """Connect to a vehicle and a camera system; both run when this returns.
+
+    Raises
+    ------
+    BackendError: the vehicle does not answer.
+    InputError: the link or the source is described wrongly.
+    """
+    from crazyarena.crazyswarm_compat.radio.backend import RadioBackend
+    from crazyarena.crazyswarm_compat.radio.options import RadioOptions
+    from crazyarena.crazyswarm_compat.radio.outbox import OutboxOptions
+
+    clock = WallClock(setup.origin)
+    vehicle, body = setup.vehicle, setup.body
+    start = setup.level.start.position
+    config = VehicleConfig(
+        id=vehicle, name=body, initial_position=(start[0], start[1], start[2]), uri=setup.uri
+    )
+    with ExitStack() as undo:
+        source = setup.source.open(clock)
+        undo.callback(source.close)
+        # The forwarder limits the rate; a second limit behind it would only make poses older.
+        options = RadioOptions(outbox=OutboxOptions(extpose_rate=2.0 * EXTERNAL_POSE_RATE))
+        backend = RadioBackend(FleetConfig((config,), "command line"), clock, options)
+        undo.callback(backend.close)
+        safeguard = Safeguard(
+            setup.level,
+            backend,
+            clock,
+            vehicle,
+            body,
+            limits=setup.limits,
+            feed=backend.arm_watchdog,
+        )
+        undo.callback(safeguard.close)
+        pipeline, listeners = make_pipeline(
+            source, clock, safeguard.gate.runner, {body: vehicle}, threaded=True
+        )
+        undo.callback(pipeline.close)
+        safeguard.watch(pipeline)
+        listeners.frames.append(safeguard.on_frame)
+        pipeline.start()
+        safeguard.watchdog.start()
+        closers = undo.pop_all()
+    return Hardware(clock, safeguard.gate.runner, pipeline, listeners, safeguard, closers)

@@ -1,0 +1,229 @@
+"""A whole arena in a process of its own: a virtual Crazyflie on UDP and cameras on zenoh.
+
+``python -m crazyarena.runner.rig.virtual_arena CONFIG`` with a JSON object: level_file (path),
+seed, vehicle, port, endpoint, cameras (fields of CameraModel), battery (times the usual capacity).
+Prints one line of JSON with ``uri`` once it runs, and on SIGTERM one with how it kept up, then
+ends; also 20 s after its standard input was closed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from crazyarena.clock import WallClock
+from crazyarena.errors import BackendError
+from crazyarena.levels import dump_level, load_level
+from crazyarena.levels.draw import LevelRandom
+from crazyarena.levels.schema import Level
+from crazyarena.runner.timing.realtime import SERVING, lock_memory, lower_priority, raise_priority
+from crazyarena.types import Pose
+
+_START_TIMEOUT = 300.0  # s; the first run compiles
+_AFTER_RUNNER = 20.0  # s
+
+
+def _serve(config: dict[str, Any]) -> None:
+    from crazyarena.mocap.camera_model import CameraModel
+    from crazyarena.mocap.sim_source import SimSource
+    from crazyarena.mocap.zenoh_link import ZenohPublisher
+    from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
+    from crazyarena.sim_backend.arena_kernel import DT
+    from crazyarena.sim_backend.arena_world import SENSOR_NOISE, Track, motions
+    from crazyarena.sim_backend.crtp.server import VirtualServer
+    from crazyarena.sim_backend.crtp.swarm import Send, VirtualSwarm
+    from crazyarena.sim_backend.physics.arena_plant import AP_CAPACITY
+    from crazyarena.sim_backend.physics.competition_step import PLANT_SIZE
+
+    class Swarm(VirtualSwarm):
+        """Vehicles among the gates and obstacles that the cameras see as well."""
+
+        track: Track
+
+        def advance(self, ticks: int, send: Send) -> None:
+            if self.track.moves:
+                self.fleet.move_scene(self.track.scene(self.fleet.time + ticks * DT))
+            super().advance(ticks, send)
+
+        def truth(self) -> dict[str, Pose]:
+            return {**super().truth(), **self.track.bodies(self.fleet.time)}
+
+    lower_priority()  # whatever the runner had: first comes a lot of work that may wait
+    level = load_level(config["level_file"])
+    draw = LevelRandom(level, config["seed"]).reset()
+    track = Track(draw, motions(level))
+    # Not the numbers of the dry run: measurement noise never repeats in an arena either.
+    for_cameras, for_sensors = np.random.default_rng([config["seed"], os.getpid()]).spawn(2)
+    noise: SensorNoise = SENSOR_NOISE
+    fleet = ArenaFleet(
+        [(draw.start[0], draw.start[2], 0.0)],
+        [float(draw.start[8])],
+        ids=(config["vehicle"],),
+        scene=track.scene(0.0),
+        noise=noise,
+        rng=for_sensors,
+    )
+    fleet.plants[0, :PLANT_SIZE] = (draw.mass, *draw.inertia)
+    fleet.plants[0, AP_CAPACITY] *= config["battery"]
+    fleet.advance(1)  # compiles, which must not happen in flight
+    swarm = Swarm(fleet)
+    swarm.track = track
+    for vehicle in swarm.vehicles:
+        vehicle.warm_up()
+    # Real vehicles and cameras are never short of processors or memory.
+    lock_memory()
+    raise_priority(SERVING, inherit=True)
+    clock = WallClock()
+    cameras = SimSource(clock, None, CameraModel(**config["cameras"]), for_cameras)
+    publisher = ZenohPublisher(clock, listen=[config["endpoint"]])
+    server = VirtualServer(
+        swarm, "127.0.0.1", config["port"], clock=clock, cameras=cameras, publisher=publisher
+    )
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: server.stop())
+
+    def outlive_the_runner() -> None:
+        """For as long as it takes to land a vehicle whose runner was killed."""
+        os.read(0, 1)  # returns when nobody holds the other end any more
+        clock.sleep_until(clock.now() + _AFTER_RUNNER)
+        server.stop()
+
+    threading.Thread(target=outlive_the_runner, daemon=True).start()
+    print(json.dumps({"uri": server.uris[0]}), flush=True)
+    try:
+        server.run()
+        end = fleet.true_pose(0).position
+        info = fleet.supervisor_info(0)
+        pace = server.pace
+        print(
+            json.dumps(
+                {
+                    "position": end.tolist(),
+                    "supervisor": info,
+                    "stalls": pace.stalls,
+                    "worst_ms": pace.worst,
+                }
+            ),
+            flush=True,
+        )
+    finally:
+        server.close()
+        publisher.close()
+
+
+class VirtualArena:
+    """Runs the arena of a level in a child process; use as a context manager.
+
+    Attributes
+    ----------
+    uri: of the virtual vehicle. endpoint: of the cameras, for a zenoh source.
+    report: what the child told at its end.
+
+    Raises
+    ------
+    BackendError: it does not come up.
+    """
+
+    def __init__(
+        self,
+        level: Level,
+        seed: int,
+        folder: Path,
+        *,
+        vehicle: int = 1,
+        cameras: dict[str, Any] | None = None,
+        battery: float = 1.0,
+    ) -> None:
+        self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        self.report: dict[str, Any] = {}
+        level_file = folder / "level.yaml"
+        level_file.write_text(dump_level(level))
+        config = {
+            "level_file": str(level_file),
+            "seed": seed,
+            "vehicle": vehicle,
+            "port": 0,
+            "endpoint": self.endpoint,
+            "cameras": cameras or {},
+            "battery": battery,
+        }
+        self._errors = open(folder / "virtual_arena.log", "w+")  # noqa: SIM115 - closed by close()
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "crazyarena.runner.rig.virtual_arena", json.dumps(config)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            text=True,
+        )
+        try:
+            self.uri = str(self._line(_START_TIMEOUT)["uri"])
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> VirtualArena:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def pid(self) -> int:
+        """Process id of the child."""
+        return self._process.pid
+
+    def _line(self, timeout: float) -> dict[str, Any]:
+        assert self._process.stdout is not None
+        deadline = time.monotonic() + timeout
+        ready, _, _ = select.select([self._process.stdout], [], [], deadline - time.monotonic())
+        line = self._process.stdout.readline() if ready else ""
+        if not line:
+            self._errors.seek(0)
+            words = self._errors.read()[-2000:].strip() or f"silent for {timeout:g} s"
+            raise BackendError(f"the virtual arena did not start: {words}")
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    def close(self) -> None:
+        """End the child; ``report`` is set. Idempotent."""
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGTERM)
+            with contextlib.suppress(BackendError, ValueError):
+                self.report = self._line(10.0)
+            try:
+                self._process.wait(timeout=10.0)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+        self._errors.close()
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+if __name__ == "__main__":
+    _serve(json.loads(sys.argv[1]))

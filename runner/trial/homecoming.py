@@ -1,0 +1,131 @@
+"""After a run: back above the track, down at the start, disarmed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from crazyarena.crazyswarm_compat import commands as cs
+from crazyarena.levels.schema import Level
+from crazyarena.mocap.estimator import Freshness
+from crazyarena.runner.rig.rig import Rig
+from crazyarena.runner.trial.hands import DOWN, TICK, Hands
+from crazyarena.runner.trial.phase import Aborted, Array, Grip, OnPhase, Phase, Timeouts
+from crazyarena.sim_backend.firmware.supervisor import INFO_ARMED, INFO_AUTO_ARM, INFO_FLYING
+
+_PEAK_SPEED = 1.0  # m/s on the way home
+_PEAK_OVER_MEAN = 35.0 / 16.0  # of the firmware's rest-to-rest polynomial
+_ABOVE_TRACK = 0.35  # m above the highest gate, on the way home
+
+
+class Homecoming(Hands):
+    """Brings a vehicle home. ``grip`` is what the operator holds until it is down, if anything."""
+
+    def __init__(self, rig: Rig, level: Level, on_phase: OnPhase, timeouts: Timeouts) -> None:
+        super().__init__(rig, on_phase)
+        self._level = level
+        self._timeouts = timeouts
+        self._home: Array | None = None
+        self.grip: Grip | None = None
+
+    def announce(self, phase: Phase, text: str) -> None:
+        """Tell of a phase that is not the crew's own work."""
+        self._on_phase(phase, text)
+
+    def bring_home(self) -> None:
+        """Fly back above the track and land at the start, as long as the vehicle can; then disarm.
+
+        Raises :class:`Aborted` if it cannot be brought down, or not there.
+        """
+        problem: Aborted | None = None
+        try:
+            with self._phase(Phase.RETURN, land_on_failure=False):
+                self._return()
+        except Aborted as error:
+            problem = error
+            self._come_down()
+        if self._taken():
+            self.stand_down()
+        else:
+            with self._phase(Phase.DISARM, land_on_failure=False):
+                self._disarm()
+        if problem is not None:
+            raise problem
+
+    def stand_down(self) -> None:
+        """For a vehicle that the watchdog has taken and brought down: only make sure of it."""
+        with self._phase(Phase.DISARM, land_on_failure=False):
+            self._send_quietly(cs.CutMotors())
+            self._until(
+                lambda: self._height() <= DOWN or not self._flyable(),
+                self._timeouts.disarm,
+                Phase.DISARM,
+                lambda: f"the vehicle is still {self._height():.2f} m high",
+            )
+        self._may_let_go()
+
+    def _return(self) -> None:
+        if not self._flyable():
+            self._on_phase(Phase.RETURN, "the vehicle cannot fly any more; motors off")
+            self._send_quietly(cs.CutMotors())
+            return
+        if self._height() <= DOWN:
+            self._send(cs.NotifySetpointsStop())
+            self._send(cs.Stop())
+            return
+        assert self._home is not None
+        place = self._estimate().state.position.copy()
+        above = self._safe_height()
+        yaw = 0.0
+        self._send(cs.NotifySetpointsStop())
+        self._go(np.array([place[0], place[1], max(above, place[2])]), yaw)
+        self._go(np.array([self._home[0], self._home[1], max(above, place[2])]), yaw)
+        self._land_here()
+
+    def _safe_height(self) -> float:
+        tops = [gate.centre[2] + 0.25 for gate in self._level.track.gates]
+        tops += [obstacle.z + 0.95 for obstacle in self._level.track.obstacles]
+        ceiling = self._level.arena.high[2] - self._level.arena.soft_margin - 0.1
+        return min(max([*tops, 0.5]) + _ABOVE_TRACK, ceiling)
+
+    def _go(self, place: Array, yaw: float) -> None:
+        here = self._estimate().state.position
+        away = float(np.linalg.norm(place - here))
+        duration = max(1.0, away * _PEAK_OVER_MEAN / _PEAK_SPEED)
+        self._send(cs.GoTo(place, yaw, duration))
+        end = self._rig.clock.now() + duration
+        while self._rig.clock.now() < end:
+            self._must_fly(Phase.RETURN)
+            self._rig.clock.sleep_until(min(end, self._rig.clock.now() + TICK))
+        self._until(
+            lambda: float(np.linalg.norm(self._estimate().state.position - place)) < 0.25,
+            3.0,
+            Phase.RETURN,
+            lambda: "the vehicle does not get where it is sent",
+        )
+
+    def _must_fly(self, phase: Phase) -> None:
+        if not self._flyable():
+            raise Aborted(phase, "the vehicle tumbled, crashed or was locked")
+        if self._estimate().freshness is Freshness.STALE:
+            self._send_quietly(cs.Land(0.0, 2.0))
+            raise Aborted(phase, f"the cameras lost {self._rig.body!r}")
+
+    def _disarm(self) -> None:
+        self._send_quietly(cs.CutMotors())
+        self._send_quietly(cs.Arm(False))
+        self._until(
+            lambda: self._at_rest() or not self._flyable(),
+            self._timeouts.disarm,
+            Phase.DISARM,
+            lambda: f"vehicle {self._rig.vehicle} does not disarm; switch it off by hand",
+        )
+        self._may_let_go()
+
+    def _may_let_go(self) -> None:
+        if self.grip is not None:
+            self._on_phase(Phase.DISARM, f"you may let go of {self.grip.what}")
+
+    def _at_rest(self) -> bool:
+        """Disarmed; or, for firmware that arms by itself again at once, no longer flying."""
+        info = self._supervisor()
+        return not info & INFO_ARMED or (info & INFO_AUTO_ARM != 0 and not info & INFO_FLYING)

@@ -1,0 +1,333 @@
+"""What happens around a run: from connecting to a vehicle that is down and disarmed again.
+
+The same phases whether vehicle and cameras are simulated or real. Each has a time limit, and
+whatever goes wrong in one of them ends on the abort path, which ends with the vehicle down.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from crazyarena.crazyswarm_compat import commands as cs
+from crazyarena.errors import InputError
+from crazyarena.levels.schema import Level
+from crazyarena.mocap.estimator import FrameResult, Freshness
+from crazyarena.mocap.survey import SurveyConfig, SurveyReport, survey
+from crazyarena.runner.rig.rig import Rig
+from crazyarena.runner.trial.hands import DOWN, TICK
+from crazyarena.runner.trial.homecoming import Homecoming
+from crazyarena.runner.trial.phase import (
+    Aborted,
+    Array,
+    Confirm,
+    MeasuredTrack,
+    OnPhase,
+    Phase,
+    Timeouts,
+)
+from crazyarena.runner.trial.tracked_world import TrackedWorld, heading_like, roll_pitch_yaw
+from crazyarena.sim_backend.arena_world import track_truth
+from crazyarena.sim_backend.firmware.supervisor import (
+    INFO_ARMED,
+    INFO_CAN_ARM,
+    INFO_CAN_FLY,
+    INFO_CRASHED,
+    INFO_LOCKED,
+    INFO_TUMBLED,
+)
+from crazyarena.types import Pose, PoseFrame, VehicleState
+
+_SETTLED = 0.5  # s for which the on-board estimate must agree with the cameras
+_AGREEMENT = 0.05  # m
+_GRIP_TIME = 1.0  # s of holding the dead-man's key until it is believed
+# The controller that full-state setpoints were made for.
+MELLINGER = 2
+_KALMAN = 2
+
+
+class Crew(Homecoming):
+    """Brings one vehicle from its start place into the air and home again.
+
+    Parameters
+    ----------
+    confirm: asks the operator a yes/no question before the motors are armed.
+    on_phase: told of every phase and of what it found, in plain words.
+    surveyed: poses of the track by body name, from an earlier survey; None measures them.
+    checks: further pre-flight checks; each returns what is wrong, in plain words.
+    anywhere: the vehicle need not stand at the level's start.
+
+    ``grip`` is what the operator must hold, if anything; it is looked at from arming on.
+
+    ``interrupted()`` is asked in every phase before the run; True aborts it.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        world: TrackedWorld,
+        level: Level,
+        *,
+        confirm: Confirm = lambda question: True,
+        on_phase: OnPhase = lambda phase, text: None,
+        timeouts: Timeouts | None = None,
+        surveyed: dict[str, Pose] | None = None,
+        checks: tuple[Callable[[], list[str]], ...] = (),
+        anywhere: bool = False,
+    ) -> None:
+        super().__init__(rig, level, on_phase, timeouts or Timeouts())
+        self._world = world
+        self._confirm = confirm
+        self._surveyed = surveyed
+        self._checks = checks
+        self._anywhere = anywhere
+        self.survey_report: SurveyReport | None = None
+
+    # Before the run
+
+    def prepare(self) -> MeasuredTrack:
+        """Connect, check, survey; raises :class:`Aborted`."""
+        self.durations = {}
+        with self._phase(Phase.CONNECT):
+            self._connect()
+        with self._phase(Phase.PREFLIGHT):
+            self._preflight()
+        with self._phase(Phase.SURVEY):
+            return self._survey()
+
+    def launch(self) -> None:
+        """Ask the operator, arm, count down; raises :class:`Aborted`."""
+        with self._phase(Phase.ARM):
+            name = f"vehicle {self._rig.vehicle}"
+            if not self._confirm(f"Arm {name} and start the run on {self._level.name}?"):
+                raise Aborted(Phase.ARM, "the operator said no")
+            self._await_grip()
+            self._arm()
+        with self._phase(Phase.COUNTDOWN):
+            clock = self._rig.clock
+            begin = clock.now()
+            left = math.ceil(self._timeouts.countdown)
+            while left > 0:
+                self._on_phase(Phase.COUNTDOWN, f"{left}")
+                self._wait_quietly(begin + self._timeouts.countdown - left + 1)
+                self._keep_quiet()
+                left -= 1
+
+    def _wait_quietly(self, deadline: float) -> None:
+        """Sleep, in short naps if the operator may let go meanwhile."""
+        clock = self._rig.clock
+        while self.grip is not None and clock.now() < deadline - TICK:
+            clock.sleep_until(clock.now() + TICK)
+            if not self.grip.held:
+                raise Aborted(Phase.COUNTDOWN, f"the operator let go of {self.grip.what}")
+        clock.sleep_until(deadline)
+        self._look_for_interrupt(Phase.COUNTDOWN)
+
+    def _await_grip(self) -> None:
+        """Until the operator has held on for a while: a key that repeats begins with a pause."""
+        grip, clock = self.grip, self._rig.clock
+        if grip is None:
+            return
+        self._on_phase(
+            Phase.ARM,
+            f"hold {grip.what} now, and until the vehicle is down and disarmed: it lands "
+            f"{grip.limit:g} s after you let go",
+        )
+        since = math.nan
+
+        def steady() -> bool:
+            nonlocal since
+            if not grip.held:
+                since = math.nan
+            elif math.isnan(since):
+                since = clock.now()
+            return clock.now() - since >= _GRIP_TIME
+
+        self._until(steady, self._timeouts.grip, Phase.ARM, lambda: f"nobody holds {grip.what}")
+
+    def _connect(self) -> None:
+        rig = self._rig
+        self._until(
+            lambda: rig.backend.telemetry(rig.vehicle).supervisor is not None,
+            self._timeouts.connect,
+            Phase.CONNECT,
+            lambda: f"vehicle {rig.vehicle} does not answer; is it switched on, is its URI right?",
+        )
+        self._until(
+            lambda: self._estimate().freshness is Freshness.FRESH,
+            self._timeouts.connect,
+            Phase.CONNECT,
+            lambda: (
+                f"the cameras do not see {rig.body!r}"
+                if rig.pipeline.live
+                else f"no frames from the cameras ({rig.pipeline.source.status.error or 'silent'})"
+            ),
+        )
+
+    def _preflight(self) -> None:
+        rig = self._rig
+        place = self._estimate().state
+        for command in preparations(place):
+            self._send(command)
+            rig.clock.sleep_until(rig.clock.now() + TICK)
+        self._check_place(place.position)
+        agreed_since = [math.nan]
+
+        def settled() -> bool:
+            now = rig.clock.now()
+            if self._disagreement() > _AGREEMENT:
+                agreed_since[0] = math.nan
+            elif math.isnan(agreed_since[0]):
+                agreed_since[0] = now
+            return now - agreed_since[0] >= _SETTLED
+
+        self._until(
+            settled,
+            self._timeouts.preflight,
+            Phase.PREFLIGHT,
+            lambda: (
+                f"the on-board estimate is {self._disagreement():.2f} m from what the cameras "
+                "see; do external poses reach the vehicle?"
+            ),
+        )
+        problems = [problem for check in self._checks for problem in check()]
+        if problems:
+            raise Aborted(Phase.PREFLIGHT, "; ".join(problems))
+        self._home = self._estimate().state.position.copy()
+
+    def _disagreement(self) -> float:
+        told = self._rig.backend.telemetry(self._rig.vehicle).state
+        if told is None:
+            return math.inf
+        return float(np.linalg.norm(told.position - self._estimate().state.position))
+
+    def _check_place(self, position: Array) -> None:
+        start = self._level.start
+        wanted = np.array(start.position[:2])
+        away = float(np.linalg.norm(position[:2] - wanted))
+        allowed = math.inf if self._anywhere else start.tolerance
+        if away > allowed:
+            raise Aborted(
+                Phase.PREFLIGHT,
+                f"vehicle {self._rig.vehicle} stands {away:.2f} m from the start "
+                f"({wanted[0]:g}, {wanted[1]:g}); at most {allowed:g} m are allowed. Move it",
+            )
+
+    def _survey(self) -> MeasuredTrack:
+        level = self._level
+        nominal_gates = np.array([[*gate.row] for gate in level.track.gates]).reshape(-1, 7)
+        nominal_obstacles = np.array([o.row for o in level.track.obstacles]).reshape(-1, 6)
+        nominal = track_truth(nominal_gates, nominal_obstacles)
+        poses = self._surveyed
+        source = "earlier survey"
+        if poses is None and nominal:
+            poses, source = self._measure(nominal), "measured"
+        missing = [name for name in nominal if name not in (poses or {})]
+        if missing:
+            raise Aborted(Phase.SURVEY, f"no pose of {', '.join(missing)}")
+        gates, obstacles = nominal_gates.copy(), nominal_obstacles.copy()
+        for i, row in enumerate(gates):
+            _put(row, poses[f"gate{i + 1}"])  # type: ignore[index]
+            # Bodies are at the foot; posts have one length, so the kind tells the height.
+            row[2] = level.track.gates[i].centre[2]
+        for i, row in enumerate(obstacles):
+            _put(row, poses[f"obstacle{i + 1}"])  # type: ignore[index]
+            row[2] = nominal_obstacles[i, 2]
+        return MeasuredTrack(gates, obstacles, source)
+
+    def _measure(self, nominal: dict[str, Pose]) -> dict[str, Pose]:
+        rig = self._rig
+        config = SurveyConfig(
+            position_tolerance=_track_tolerance(self._level)[0],
+            yaw_tolerance=_track_tolerance(self._level)[1],
+            full_turn=False,
+        )
+        frames: list[PoseFrame] = []
+
+        def listen(frame: PoseFrame, result: FrameResult) -> None:
+            frames.append(frame)
+
+        rig.listeners.frames.append(listen)
+        try:
+            self._until(
+                lambda: len(frames) >= config.frames,
+                self._timeouts.survey,
+                Phase.SURVEY,
+                lambda: f"{len(frames)} of {config.frames} frames came",
+            )
+        finally:
+            rig.listeners.frames.remove(listen)
+        moving = [f"gate{i + 1}" for i in self._level.track.tracked]
+        report = self.survey_report = survey(frames, nominal, config, moving)
+        try:
+            return report.track()
+        except InputError as error:
+            raise Aborted(Phase.SURVEY, str(error)) from None
+
+    def _arm(self) -> None:
+        rig = self._rig
+        self._send(cs.Arm(True))
+
+        def ready() -> bool:
+            info = self._supervisor()
+            return bool(info & INFO_ARMED and info & INFO_CAN_FLY)
+
+        self._until(ready, self._timeouts.arm, Phase.ARM, lambda: self._why_not_armed())
+        self._on_phase(Phase.ARM, f"vehicle {rig.vehicle} is armed")
+
+    def _why_not_armed(self) -> str:
+        info = self._supervisor()
+        for bit, text in (
+            (INFO_TUMBLED, "it lies on its side"),
+            (INFO_CRASHED, "it has crashed; recover it"),
+            (INFO_LOCKED, "its supervisor is locked; restart it"),
+        ):
+            if info & bit:
+                return f"vehicle {self._rig.vehicle} does not arm: {text}"
+        can = "it could" if info & INFO_CAN_ARM else "its own checks fail"
+        return f"vehicle {self._rig.vehicle} does not arm ({can}; supervisor.info {info:#x})"
+
+    def _keep_quiet(self) -> None:
+        """Between arming and start nothing moves; what does is an abort."""
+        if self._home is not None and self._height() > DOWN:
+            raise Aborted(Phase.COUNTDOWN, "the vehicle left the ground before the start")
+
+
+def preparations(place: VehicleState, controller: int = MELLINGER) -> list[cs.SetParam]:
+    """What a vehicle that stands at ``place`` is told before it is armed.
+
+    It is to fly by external poses, with this controller, and to estimate itself anew.
+    """
+    x, y, z = place.position.tolist()
+    wanted: tuple[tuple[str, float], ...] = (
+        ("stabilizer.estimator", _KALMAN),
+        ("stabilizer.controller", controller),
+        ("commander.enHighLevel", 1),
+        ("kalman.initialX", x),
+        ("kalman.initialY", y),
+        ("kalman.initialZ", z),
+        ("kalman.initialYaw", roll_pitch_yaw(place.quaternion)[2]),
+        ("kalman.resetEstimation", 1),
+        ("kalman.resetEstimation", 0),
+    )
+    return [cs.SetParam(name, value) for name, value in wanted]
+
+
+def _put(row: Array, pose: Pose) -> None:
+    """Overwrite a nominal row with a measured pose; what has no front keeps its heading."""
+    row[:3] = pose.position
+    row[3:6] = (0.0, 0.0, heading_like(row[5], pose.quaternion))
+
+
+def _track_tolerance(level: Level) -> tuple[float, float]:
+    """How far bodies of the track may be from nominal: m, rad.
+
+    As far as the level says that they move, and the width of a measuring tape on top.
+    """
+    spread = level.randomization.gates_and_obstacles
+    reach = 0.0
+    if spread is not None:
+        reach = max(abs(bound) for bound in (*spread.gates, *spread.obstacles))
+    return math.hypot(reach, reach) + 0.05, reach + 0.1
