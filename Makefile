@@ -23,6 +23,7 @@ lint: $(VENV)/dev.stamp
 
 types: $(VENV)/dev.stamp
 	$(BIN)/mypy -p crazyarena
+	$(BIN)/basedpyright
 
 bench: $(VENV)/dev.stamp
 	for b in benchmarks/[a-z]*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done

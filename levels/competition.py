@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 from crazyarena.levels.document import Node
-from crazyarena.levels.schema import unknown_key
+from crazyarena.levels.values import unknown_key
 
 _TOP = ("num_episodes", "use_firmware", "verbose", "quadrotor_config")
 

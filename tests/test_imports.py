@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+import functools
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -114,3 +115,137 @@ def test_imports_point_one_way(folder):
 )
 def test_the_check_itself(path, source, count):
     assert len(violations(source, ROOT / path)) == count
+
+
+# Rooms of the runner, each of which may import those below it and none above.
+ROOMS = (
+    ("cli",),
+    ("cli.options",),
+    ("",),  # whole commands as programs
+    ("campaign.udp",),
+    ("campaign",),
+    ("campaign.strikes",),
+    ("trial",),
+    ("rig.flight_process",),
+    ("rig", "records"),
+    ("contestant.sandbox",),
+    ("contestant",),
+    ("contestant.contract_2022", "contestant.contract_2022.names"),
+    ("judging", "timing"),
+)
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    parts = parts if parts[0] == CORE else (CORE, *parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+@functools.cache
+def graph() -> dict[str, set[str]]:
+    """What every module of ours imports of ours, also inside functions and for types alone."""
+    files = {
+        module_name(path): path
+        for folder in ALLOWED
+        for path in (ROOT / folder).rglob("*.py")
+        if "dropin" not in path.parts and not path.is_relative_to(ROOT / CORE / folder)
+    }
+    found: dict[str, set[str]] = {}
+    for name, path in files.items():
+        wanted = found[name] = set()
+        for _, target in imported(ast.parse(path.read_text("utf-8")), package_of(path)):
+            module = target if target in files else target.rpartition(".")[0]
+            if module in files and module != name:
+                wanted.add(module)
+    return found
+
+
+def circles(edges: Mapping[str, set[str]]) -> list[list[str]]:
+    """One circle for every knot of modules that import each other (depth first)."""
+    state: dict[str, int] = {}
+    found: list[list[str]] = []
+
+    def visit(name: str, path: list[str]) -> None:
+        state[name] = 1
+        for target in sorted(edges.get(name, ())):
+            if state.get(target) == 1:
+                found.append([*path[path.index(target) :], target])
+            elif target not in state:
+                visit(target, [*path, target])
+        state[name] = 2
+
+    for name in sorted(edges):
+        if name not in state:
+            visit(name, [name])
+    return found
+
+
+def room_of(name: str, edges: Mapping[str, set[str]]) -> str | None:
+    """Room of a module of the runner, ``""`` for those directly in it; None for others."""
+    prefix = f"{CORE}.runner"
+    if name != prefix and not name.startswith(prefix + "."):
+        return None
+    inner = name[len(prefix) + 1 :]
+    is_room = any(inner == room for level in ROOMS for room in level)
+    return inner if is_room else inner.rpartition(".")[0]
+
+
+def climbs(edges: Mapping[str, set[str]]) -> list[str]:
+    heights = {room: -level for level, rooms in enumerate(ROOMS) for room in rooms}
+    found = []
+    for name, targets in sorted(edges.items()):
+        room = room_of(name, edges)
+        for target in sorted(targets):
+            other = room_of(target, edges)
+            if room is None or other is None or room == other:
+                continue
+            assert room in heights, f"{name}: the room {room!r} has no place in ROOMS"
+            assert other in heights, f"{target}: the room {other!r} has no place in ROOMS"
+            if heights[other] >= heights[room]:
+                found.append(f"{name} climbs to {target}")
+    return found
+
+
+def test_nothing_imports_in_circles():
+    assert not circles(graph()), "\n".join(" -> ".join(circle) for circle in circles(graph()))
+
+
+def test_no_room_of_the_runner_imports_one_above():
+    assert not climbs(graph()), "\n".join(climbs(graph()))
+
+
+def test_rooms_are_few_deep_and_small():
+    edges = graph()
+    rooms: dict[str, set[str]] = {}
+    for name, targets in edges.items():
+        room = room_of(name, edges)
+        if room is not None:
+            others = {room_of(target, edges) for target in targets} - {None, room}
+            rooms.setdefault(room, set()).update(other for other in others if other is not None)
+
+    @functools.cache
+    def depth(room: str) -> int:
+        return 1 + max((depth(other) for other in rooms[room]), default=0)
+
+    assert max(map(depth, rooms)) <= 8
+    top = {name for name in edges if room_of(name, edges) == ""}
+    assert len(top) <= 8 + 1, "and the package itself"
+
+
+def test_the_checks_of_rooms_themselves():
+    runner = f"{CORE}.runner"
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == [["b", "c", "b"]]
+    assert not circles({"a": {"b", "c"}, "b": {"c"}, "c": set()})
+    assert climbs({f"{runner}.rig.rig": {f"{runner}.trial.trial"}}) == [
+        f"{runner}.rig.rig climbs to {runner}.trial.trial"
+    ]
+    assert climbs({f"{runner}.rig.rig": {f"{runner}.records.export"}})
+    assert not climbs({f"{runner}.trial.trial": {f"{runner}.rig.rig", f"{CORE}.clock"}})
+
+
+def test_long_files_say_why():
+    for folder in ALLOWED:
+        for path in (ROOT / folder).rglob("*.py"):
+            lines = path.read_text("utf-8").splitlines()
+            if len(lines) > 500:
+                assert "Long because" in "\n".join(lines[:20]), f"{path}: {len(lines)} lines"
