@@ -180,7 +180,7 @@ def circles(edges: Mapping[str, set[str]]) -> list[list[str]]:
     return found
 
 
-def room_of(name: str, edges: Mapping[str, set[str]]) -> str | None:
+def room_of(name: str) -> str | None:
     """Room of a module of the runner, ``""`` for those directly in it; None for others."""
     prefix = f"{CORE}.runner"
     if name != prefix and not name.startswith(prefix + "."):
@@ -194,9 +194,9 @@ def climbs(edges: Mapping[str, set[str]]) -> list[str]:
     heights = {room: -level for level, rooms in enumerate(ROOMS) for room in rooms}
     found = []
     for name, targets in sorted(edges.items()):
-        room = room_of(name, edges)
+        room = room_of(name)
         for target in sorted(targets):
-            other = room_of(target, edges)
+            other = room_of(target)
             if room is None or other is None or room == other:
                 continue
             assert room in heights, f"{name}: the room {room!r} has no place in ROOMS"
@@ -218,9 +218,9 @@ def test_rooms_are_few_deep_and_small():
     edges = graph()
     rooms: dict[str, set[str]] = {}
     for name, targets in edges.items():
-        room = room_of(name, edges)
+        room = room_of(name)
         if room is not None:
-            others = {room_of(target, edges) for target in targets} - {None, room}
+            others = {room_of(target) for target in targets} - {None, room}
             rooms.setdefault(room, set()).update(other for other in others if other is not None)
 
     @functools.cache
@@ -228,7 +228,7 @@ def test_rooms_are_few_deep_and_small():
         return 1 + max((depth(other) for other in rooms[room]), default=0)
 
     assert max(map(depth, rooms)) <= 8
-    top = {name for name in edges if room_of(name, edges) == ""}
+    top = {name for name in edges if room_of(name) == ""}
     assert len(top) <= 8 + 1, "and the package itself"
 
 

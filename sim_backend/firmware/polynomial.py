@@ -145,23 +145,20 @@ def evaluate(row, base, t, rate, out, to):
     for k in range(6, -1, -1):
         d = d * t + yaw
         yaw = yaw * t + row[at + k]
-    # Counted from `at`, a plain int: Numba compiles anew for every constant passed as such.
-    px, vx, ax, jx = _evaluate_axis(row, at - 24, t, rate)
-    py, vy, ay, jy = _evaluate_axis(row, at - 16, t, rate)
-    pz, vz, az, jz = _evaluate_axis(row, at - 8, t, rate)
-    roll, pitch, turn = body_rates((ax, ay, az), (jx, jy, jz), yaw, d * rate)
-    out[to + EV_POS] = px
-    out[to + EV_POS + 1] = py
-    out[to + EV_POS + 2] = pz
-    out[to + EV_VEL] = vx
-    out[to + EV_VEL + 1] = vy
-    out[to + EV_VEL + 2] = vz
-    out[to + EV_ACC] = ax
-    out[to + EV_ACC + 1] = ay
-    out[to + EV_ACC + 2] = az
-    out[to + EV_JERK] = jx
-    out[to + EV_JERK + 1] = jy
-    out[to + EV_JERK + 2] = jz
+    for axis in range(3):
+        # Counted from `at`, a plain int: Numba compiles anew for every constant passed as such.
+        p, v, acc, jerk = _evaluate_axis(row, at - 24 + 8 * axis, t, rate)
+        out[to + EV_POS + axis] = p
+        out[to + EV_VEL + axis] = v
+        out[to + EV_ACC + axis] = acc
+        out[to + EV_JERK + axis] = jerk
+    acc_at, jerk_at = to + EV_ACC, to + EV_JERK
+    roll, pitch, turn = body_rates(
+        (out[acc_at], out[acc_at + 1], out[acc_at + 2]),
+        (out[jerk_at], out[jerk_at + 1], out[jerk_at + 2]),
+        yaw,
+        d * rate,
+    )
     out[to + EV_YAW] = yaw
     out[to + EV_OMEGA] = roll
     out[to + EV_OMEGA + 1] = pitch

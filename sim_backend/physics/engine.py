@@ -90,14 +90,15 @@ def check_plants(plants: ArrayLike) -> NDArray[np.float64]:
     return rows
 
 
-def fill_bodies(
-    bodies: NDArray[np.float64],
+def place(
+    engine: Engine,
     positions: ArrayLike,
     quaternions: ArrayLike | None,
     velocities: ArrayLike | None,
     rates: ArrayLike | None,
 ) -> None:
-    """Write initial states into body rows; arguments of :meth:`Engine.reset`."""
+    """Write initial states into an engine's rows, which touch nothing; see :meth:`Engine.reset`."""
+    bodies = engine.bodies
     bodies[:] = 0.0
     bodies[:, B_POS : B_POS + 3] = positions
     quaternion = np.broadcast_to(
@@ -112,6 +113,8 @@ def fill_bodies(
         bodies[:, B_VEL : B_VEL + 3] = velocities
     if rates is not None:
         bodies[:, B_OMEGA : B_OMEGA + 3] = rates
+    engine.contacts[:] = NO_CONTACT
+    engine.partners[:] = -1
 
 
 def lifts(plants: NDArray[np.float64], rotors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -177,11 +180,9 @@ class NativeEngine:
         rates: ArrayLike | None = None,
     ) -> None:
         """See :meth:`Engine.reset`."""
-        fill_bodies(self.bodies, positions, quaternions, velocities, rates)
+        place(self, positions, quaternions, velocities, rates)
         for work in self._works:
             forget(work)
-        self.contacts[:] = NO_CONTACT
-        self.partners[:] = -1
 
     def step(self, rotor_forces: ArrayLike, forces: ArrayLike | None = None) -> None:
         """See :meth:`Engine.step`."""

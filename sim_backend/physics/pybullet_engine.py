@@ -25,7 +25,7 @@ from crazyarena.sim_backend.physics.competition_step import (
     P_INERTIA,
     P_MASS,
 )
-from crazyarena.sim_backend.physics.engine import check_plants, fill_bodies, lifts
+from crazyarena.sim_backend.physics.engine import check_plants, lifts, place
 from crazyarena.sim_backend.physics.fleet import downwash
 from crazyarena.sim_backend.physics.geometry import NO_CONTACT
 from crazyarena.sim_backend.physics.rigid_body import (
@@ -200,9 +200,7 @@ class PyBulletEngine:
         rates: ArrayLike | None = None,
     ) -> None:
         """See :meth:`Engine.reset`."""
-        fill_bodies(self.bodies, positions, quaternions, velocities, rates)
-        self.contacts[:] = NO_CONTACT
-        self.partners[:] = -1
+        place(self, positions, quaternions, velocities, rates)
         for row, body in zip(self.bodies, self._vehicles, strict=True):
             quaternion = row[B_QUAT : B_QUAT + 4]
             self._bullet.resetBasePositionAndOrientation(
