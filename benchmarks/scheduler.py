@@ -30,7 +30,7 @@ import numpy as np
 from rich.console import Console
 
 from crazyarena.levels.schema import Level
-from crazyarena.mocap.source import SourceSpec
+from crazyarena.mocap.opening import SourceSpec
 from crazyarena.runner.fly import Fly
 from crazyarena.runner.judging.result import percentiles_ms
 from crazyarena.runner.rig.flight_process.client import connected

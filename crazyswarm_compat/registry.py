@@ -92,7 +92,7 @@ ENTRIES: dict[str, str] = {
 BINDINGS = "crazyarena.sim_backend.bindings"
 # Motion capture for scripts that fly real vehicles.
 POSE_PARTS = {
-    "open_source": "crazyarena.mocap.source:open_source",
+    "open_source": "crazyarena.mocap.opening:open_source",
     "PoseEstimator": "crazyarena.mocap.estimator:PoseEstimator",
     "PoseForwarder": "crazyarena.mocap.forwarder:PoseForwarder",
     "PosePipeline": "crazyarena.mocap.pipeline:PosePipeline",

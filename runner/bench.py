@@ -15,7 +15,7 @@ from typing import Any
 from rich.console import Console
 
 from crazyarena.levels.schema import Level
-from crazyarena.mocap.source import SourceSpec
+from crazyarena.mocap.opening import SourceSpec
 from crazyarena.runner.dry_run import DryRun
 from crazyarena.runner.fly import Fly
 from crazyarena.runner.judging.result import TrialResult

@@ -7,7 +7,8 @@ from typing import Any
 
 from crazyarena.clock import Clock
 from crazyarena.errors import InputError
-from crazyarena.mocap.source import PoseSource, SourceSpec
+from crazyarena.mocap.opening import SourceSpec
+from crazyarena.mocap.source import PoseSource
 
 
 def parse_options(pairs: Sequence[str]) -> dict[str, str]:

@@ -9,8 +9,8 @@ from crazyarena.clock import WallClock
 from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
 from crazyarena.levels.schema import Level
+from crazyarena.mocap.opening import SourceSpec
 from crazyarena.mocap.pipeline import PosePipeline
-from crazyarena.mocap.source import SourceSpec
 from crazyarena.runner.rig.rig import EXTERNAL_POSE_RATE, FrameListeners, make_pipeline
 from crazyarena.runner.rig.safeguard import Safeguard
 from crazyarena.safety.limits import Limits

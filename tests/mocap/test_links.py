@@ -18,11 +18,12 @@ from crazyarena.mocap.estimator import Freshness, PoseEstimator
 from crazyarena.mocap.events import EventKind, MocapEvent
 from crazyarena.mocap.frames import Convention
 from crazyarena.mocap.motioncapture_source import MotionCaptureSource
+from crazyarena.mocap.opening import open_source
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.mocap.rotations import angle_between
 from crazyarena.mocap.serve import circling, relay
 from crazyarena.mocap.sim_source import SimSource
-from crazyarena.mocap.source import SourceState, open_source
+from crazyarena.mocap.source import SourceState
 from crazyarena.mocap.vendor_server import QualisysServer
 from crazyarena.mocap.wire import encode
 from crazyarena.mocap.zenoh_link import ZenohPublisher, ZenohSource, open_session

@@ -23,7 +23,7 @@ from crazyarena.clock import Clock, WallClock
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import CommandError
 from crazyarena.levels import Level, load_level
-from crazyarena.mocap.source import SourceSpec
+from crazyarena.mocap.opening import SourceSpec
 from crazyarena.mocap.stamps import HostStamps
 from crazyarena.runner.campaign.faults import FAULTS
 from crazyarena.runner.campaign.plan import Plan, draw_plan

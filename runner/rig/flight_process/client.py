@@ -17,8 +17,9 @@ from crazyarena.errors import BackendError
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level
 from crazyarena.mocap.estimator import BodyEstimate, PoseEstimator
+from crazyarena.mocap.opening import SourceSpec
 from crazyarena.mocap.pipeline import PosePipeline
-from crazyarena.mocap.source import SourceSpec, SourceStatus
+from crazyarena.mocap.source import SourceStatus
 from crazyarena.runner.judging.referee import Event
 from crazyarena.runner.rig.flight_process.process import SIGN_OF_LIFE, VEHICLE, FlightProcess
 from crazyarena.runner.rig.hardware import HardwareSetup

@@ -11,7 +11,7 @@ from crazyarena.crazyswarm_compat import commands as cs
 from crazyarena.errors import BackendError, CommandError, InputError
 from crazyarena.levels import load_level
 from crazyarena.mocap.estimator import Freshness
-from crazyarena.mocap.source import SourceSpec
+from crazyarena.mocap.opening import SourceSpec
 from crazyarena.runner.rig.flight_process.client import connected
 from crazyarena.runner.rig.stops import StopOptions
 from crazyarena.runner.rig.virtual_arena import VirtualArena

@@ -1,0 +1,61 @@
+"""Opening a pose source by name, as the command line and configuration files do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from crazyarena.clock import Clock
+from crazyarena.errors import InputError
+from crazyarena.mocap.motioncapture_source import VENDOR_TYPES, MotionCaptureSource
+from crazyarena.mocap.replay import ReplaySource
+from crazyarena.mocap.source import PoseSource
+from crazyarena.mocap.zenoh_link import ZenohSource
+
+
+def open_source(kind: str, *, clock: Clock, **options: Any) -> PoseSource:
+    """Open a pose source by name.
+
+    Parameters
+    ----------
+    kind: ``zenoh``, ``replay``, or a type of the ``motioncapture`` package (``vicon``,
+        ``qualisys``, ``optitrack``, ``nokov``, ``fzmotion``, ``vrpn``, ...), whose own option
+        names (``hostname``, ``port``, ``interface_ip``, ...) are passed through.
+    clock: the session clock.
+    options: keyword arguments of the source's class.
+
+    Raises
+    ------
+    InputError: unknown kind or option.
+    DependencyMissing: the package behind the kind is not installed.
+    """
+    opener: Callable[..., PoseSource]
+    if kind in VENDOR_TYPES:
+        opener = MotionCaptureSource
+        options["vendor"] = kind
+    elif kind == "zenoh":
+        opener = ZenohSource
+    elif kind == "replay":
+        opener = ReplaySource
+    else:
+        known = ", ".join(["zenoh", "replay", *VENDOR_TYPES])
+        raise InputError(f"mocap source: found {kind!r}; choose one of {known}")
+    try:
+        return opener(clock=clock, **options)
+    except TypeError as error:
+        if "unexpected keyword argument" in str(error) or "missing" in str(error):
+            raise InputError(f"mocap source {kind}: {error}") from None
+        raise
+
+
+@dataclass(frozen=True, slots=True)
+class SourceSpec:
+    """A pose source that somebody else will open: arguments of :func:`open_source`."""
+
+    kind: str
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def open(self, clock: Clock) -> PoseSource:
+        """Open it on the session's clock; raises as :func:`open_source`."""
+        return open_source(self.kind, clock=clock, **self.options)
