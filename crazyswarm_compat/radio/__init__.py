@@ -1,7 +1,8 @@
 """Real Crazyflies, and virtual ones that look like them, through cflib.
 
 :class:`RadioBackend` is the backend; the modules behind it, from the wire up: ``packets``
-(layouts), ``outbox`` (traffic classes and hand-over rules), ``client`` and ``link`` (one
+(layouts), ``lanes``, ``emergency`` and ``outbox`` (traffic classes and hand-over rules),
+``client``, ``parameters``, ``trajectory_memory``, ``quality``, ``sender`` and ``link`` (one
 vehicle), ``telemetry``, ``preflight``, ``events``.
 """
 
@@ -15,10 +16,11 @@ from crazyarena.crazyswarm_compat.radio.events import (
     StreamEnded,
     TrajectoryUploaded,
 )
-from crazyarena.crazyswarm_compat.radio.link import LinkStatistics
+from crazyarena.crazyswarm_compat.radio.lanes import Lane, LaneStatistics
 from crazyarena.crazyswarm_compat.radio.options import RadioOptions
-from crazyarena.crazyswarm_compat.radio.outbox import Lane, LaneStatistics, OutboxOptions
+from crazyarena.crazyswarm_compat.radio.outbox import OutboxOptions
 from crazyarena.crazyswarm_compat.radio.preflight import Preparation
+from crazyarena.crazyswarm_compat.radio.quality import LinkStatistics
 from crazyarena.crazyswarm_compat.radio.telemetry import SupervisorState
 
 __all__ = [

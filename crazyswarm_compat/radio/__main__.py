@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from crazyarena.clock import WallClock
 from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
 from crazyarena.crazyswarm_compat.radio.backend import RadioBackend
-from crazyarena.crazyswarm_compat.radio.link import LinkStatistics
 from crazyarena.crazyswarm_compat.radio.options import RadioOptions
+from crazyarena.crazyswarm_compat.radio.quality import LinkStatistics
 from crazyarena.errors import CrazyarenaError
 from crazyarena.types import Telemetry
 

@@ -21,9 +21,10 @@ from crazyarena.crazyswarm_compat.radio import packets as pk
 from crazyarena.crazyswarm_compat.radio.budget import Budget
 from crazyarena.crazyswarm_compat.radio.client import init_drivers
 from crazyarena.crazyswarm_compat.radio.events import EventLog, LinkEvent
-from crazyarena.crazyswarm_compat.radio.link import LinkStatistics, VehicleLink
+from crazyarena.crazyswarm_compat.radio.link import VehicleLink
 from crazyarena.crazyswarm_compat.radio.options import RadioOptions
 from crazyarena.crazyswarm_compat.radio.preflight import Preparation, prepare_vehicle
+from crazyarena.crazyswarm_compat.radio.quality import LinkStatistics
 from crazyarena.crazyswarm_compat.radio.telemetry import SupervisorState
 from crazyarena.errors import BackendError, CommandError, InputError
 from crazyarena.types import Pose, Telemetry, Vector

@@ -1,14 +1,10 @@
-"""One vehicle: its connection, its sender thread, its parameters and trajectory memory."""
+"""One vehicle: its connection, its sender thread, and what a command becomes on the way."""
 
 from __future__ import annotations
 
-import logging
 import math
-import struct
 import threading
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,121 +26,21 @@ from crazyarena.crazyswarm_compat.radio.events import (
     StreamEnded,
     TrajectoryUploaded,
 )
+from crazyarena.crazyswarm_compat.radio.lanes import HighLevelItem
 from crazyarena.crazyswarm_compat.radio.options import RadioOptions
-from crazyarena.crazyswarm_compat.radio.outbox import (
-    HighLevelItem,
-    Job,
-    Lane,
-    LaneStatistics,
-    Outbox,
-)
+from crazyarena.crazyswarm_compat.radio.outbox import Outbox
+from crazyarena.crazyswarm_compat.radio.parameters import Parameters
+from crazyarena.crazyswarm_compat.radio.quality import LinkStatistics, Pings
+from crazyarena.crazyswarm_compat.radio.sender import Sender
 from crazyarena.crazyswarm_compat.radio.telemetry import FLYING, LOCKED, TelemetryReader
-from crazyarena.errors import BackendError, CommandError
+from crazyarena.crazyswarm_compat.radio.trajectory_memory import TrajectoryMemory
+from crazyarena.errors import BackendError
 
-_LOG = logging.getLogger(__name__)
-
-_TRAJECTORY_MEMORY = 0x12
 _MASK_PARAM = "hlCommander.groupmask"
 _RETRY_IDENTITY = 0.5
-_IDLE = 1.0  # s, longest sleep of the sender
-_PINGS = 50  # echoes in the window of the statistics
-_PING_LOST = 0.5  # s
 # Taking over a vehicle whose stream fell silent: below this height it lands.
 _LOW = 0.15
 _BRAKING = 2.0  # m/s2
-
-
-@dataclass(frozen=True, slots=True)
-class LinkStatistics:
-    """Traffic and quality of one link.
-
-    lanes: by class. pings, pings_lost: echoes that had time to come back, and those that did
-    not; round_trip_loss their ratio over the last 50, None before the first; latency_p50,
-    latency_p95: round trip, s, over those. log_packets, log_missed: packets of the log blocks
-    that came, and those that their time stamps show missing. uplink_sent, uplink_arrived:
-    packets to the vehicle since it first told its own count, and how many it got; 0 where its
-    firmware does not count. A Crazyradio repeats what is not acknowledged, so that loss shows
-    as latency there.
-    """
-
-    lanes: dict[Lane, LaneStatistics]
-    pings: int
-    pings_lost: int
-    round_trip_loss: float | None
-    latency_p50: float | None
-    latency_p95: float | None
-    log_packets: int
-    log_missed: int
-    uplink_sent: int
-    uplink_arrived: int
-
-    @property
-    def downlink_loss(self) -> float | None:
-        """Share of the log packets that were lost."""
-        total = self.log_packets + self.log_missed
-        return self.log_missed / total if total else None
-
-    @property
-    def uplink_loss(self) -> float | None:
-        """Share of the packets to the vehicle that did not arrive."""
-        if not self.uplink_sent:
-            return None
-        return max(0.0, 1.0 - self.uplink_arrived / self.uplink_sent)
-
-
-class Pings:
-    """Echoes under way and their results."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._number = 0
-        self._under_way: dict[int, float] = {}
-        self._window: deque[float | None] = deque(maxlen=_PINGS)
-        self.total = 0
-        self.lost = 0
-
-    def send(self, now: float) -> pk.Packet:
-        """Next echo request; those without an answer by now count as lost."""
-        with self._lock:
-            for number, sent in list(self._under_way.items()):
-                if now - sent > _PING_LOST:
-                    del self._under_way[number]
-                    self._count(None)
-            self._number += 1
-            self._under_way[self._number] = now
-            return pk.ping(self._number)
-
-    def received(self, data: bytes, now: float) -> None:
-        """An echo came back."""
-        number = pk.ping_number(data)
-        with self._lock:
-            sent = None if number is None else self._under_way.pop(number, None)
-            if sent is not None:
-                self._count(now - sent)
-
-    def forget(self) -> None:
-        """The link is new: what is under way is nobody's."""
-        with self._lock:
-            self._under_way.clear()
-            self._window.clear()
-
-    def _count(self, latency: float | None) -> None:
-        self.total += 1
-        self.lost += latency is None
-        self._window.append(latency)
-
-    def summary(self) -> tuple[float | None, float | None, float | None]:
-        """Loss, median and 95th percentile of the round trip over the window."""
-        with self._lock:
-            window = list(self._window)
-        if not window:
-            return None, None, None
-        times = [latency for latency in window if latency is not None]
-        loss = 1.0 - len(times) / len(window)
-        if not times:
-            return loss, None, None
-        middle, high = np.percentile(times, (50, 95))
-        return loss, float(middle), float(high)
 
 
 class VehicleLink:
@@ -189,14 +85,31 @@ class VehicleLink:
         self.hears_peers = False
         self._fully_connected = threading.Event()
         self._failure: str | None = None
-        self._answered = threading.Condition()
-        self._writes: dict[str, int] = {}
-        self._closing = False
         self._seen_locked = False
-        self._next_ping = 0.0
-        self._upload_lock = threading.Lock()
-        self._sender = threading.Thread(target=self._send_loop, name=f"send-{self.name}")
-        self._sender.daemon = True
+        self._parameters = Parameters(
+            self.name,
+            options.param_timeout,
+            lambda: self.client,
+            lambda verb, action: self._later(verb, action=action),
+            self._lost_command,
+        )
+        self._memory = TrajectoryMemory(
+            self.name,
+            options.upload_timeout,
+            clock,
+            lambda: self.client,
+            lambda item: self.outbox.command(item, clock.now()),
+        )
+        self._sender = Sender(
+            self.name,
+            clock,
+            self.outbox,
+            self.pings,
+            options.ping_rate,
+            self.transmit,
+            has_link=lambda: self.client is not None,
+            answering=self._fully_connected.is_set,
+        )
         self._sender.start()
 
     # Connection
@@ -225,7 +138,7 @@ class VehicleLink:
         client.link_statistics.link_quality_updated.add_callback(
             lambda percent: self.telemetry.quality(0.01 * float(percent))
         )
-        client.param.add_update_callback(cb=self._param_answer)
+        self._parameters.attach(client)
         deadline = self._clock.now() + timeout
         self.client = client
         try:
@@ -309,10 +222,7 @@ class VehicleLink:
 
     def close(self) -> None:
         """Stop the sender and close the connection."""
-        self._closing = True
-        with self.outbox.wake:
-            self.outbox.wake.notify_all()
-        self._sender.join(timeout=3.0)
+        self._sender.close()
         self.drop()
 
     def _heard(self, _: Any) -> None:
@@ -343,48 +253,6 @@ class VehicleLink:
         crtp.set_header(packet.port, packet.channel)
         crtp.data = packet.data
         client.send_packet(crtp)
-
-    def _send_loop(self) -> None:
-        outbox = self.outbox
-        while not self._closing:
-            with outbox.wake:
-                now = self._clock.now()
-                job = outbox.poll(now)
-                if not isinstance(job, Job):
-                    ping_in = self._next_ping - now if self.client is not None else _IDLE
-                    if ping_in > 0:
-                        outbox.wake.wait(min(job, ping_in, _IDLE))
-                        continue
-            if isinstance(job, Job):
-                self._run(job)
-            self._ping(self._clock.now())
-
-    def _run(self, job: Job) -> None:
-        try:
-            for packet in job.packets:
-                self.transmit(packet)
-            if job.action is not None:
-                job.action()
-        except Exception as error:
-            # Whatever the driver throws, the other traffic goes on.
-            if not isinstance(error, ConnectionError):
-                _LOG.warning("%s: sending failed: %s", self.name, error)
-            self.outbox.sent(job, False)
-            if job.lane is Lane.EMERGENCY or job.lane is Lane.COMMAND:
-                self._clock.sleep_until(self._clock.now() + 0.01)
-            return
-        self.outbox.sent(job, True)
-
-    def _ping(self, now: float) -> None:
-        if now < self._next_ping or self.client is None:
-            return
-        self._next_ping = now + 1.0 / self._options.ping_rate
-        if not self._fully_connected.is_set():
-            return
-        try:
-            self.transmit(self.pings.send(now))
-        except Exception as error:
-            _LOG.debug("%s: ping failed: %s", self.name, error)
 
     # Commands
 
@@ -452,11 +320,10 @@ class VehicleLink:
 
     def _done(self, name: str) -> Callable[[int | None, str], None]:
         def done(code: int | None, reason: str) -> None:
-            now = self._clock.now()
             if code is None:
-                self._events.emit(CommandLost(now, self.id, name, reason))
+                self._lost_command(name, reason)
             elif code != 0:
-                self._events.emit(CommandRefused(now, self.id, name, code))
+                self._events.emit(CommandRefused(self._clock.now(), self.id, name, code))
 
         return done
 
@@ -464,6 +331,9 @@ class VehicleLink:
         data = packet.data
         if packet.channel == 0 and len(data) >= 4:
             self.outbox.answer(data[0], data[3], self._clock.now())
+
+    def _lost_command(self, verb: str, reason: str) -> None:
+        self._events.emit(CommandLost(self._clock.now(), self.id, verb, reason))
 
     def _later(
         self,
@@ -473,7 +343,7 @@ class VehicleLink:
     ) -> None:
         now = self._clock.now()
         if not self.outbox.rest(now, packets, action):
-            self._events.emit(CommandLost(now, self.id, name, "too many commands wait"))
+            self._lost_command(name, "too many commands wait")
 
     def _take_over(self, silent: bool, kind: object) -> HighLevelItem | None:
         """What the high-level commander is to do when a stream is over and nothing follows."""
@@ -500,93 +370,19 @@ class VehicleLink:
 
     # Parameters
 
-    def _element(self, name: str) -> Any:
-        client = self.client
-        toc = None if client is None else client.param.toc
-        group, _, variable = name.partition(".")
-        element = None if toc is None else toc.get_element(group, variable)
-        if element is None:
-            raise BackendError(
-                f"{self.name}: no parameter {name!r} in this firmware"
-                if self.connected
-                else f"{self.name}: not connected, so parameter {name!r} is unknown"
-            )
-        return element
-
-    def _checked(self, name: str, value: float) -> float:
-        """The value as the vehicle will store it."""
-        element = self._element(name)
-        if element.access == element.RO_ACCESS:
-            raise CommandError(f"{self.name}: parameter {name} is read-only")
-        number = float(value)
-        kind = element.pytype
-        try:
-            if kind not in ("<f", "<d", "<e"):
-                number = int(number)
-            stored = struct.unpack(kind, struct.pack(kind, number))[0]
-        except (struct.error, OverflowError):
-            raise CommandError(
-                f"{self.name}: {name} is {value!r}; that does not fit into its type {element.ctype}"
-            ) from None
-        return float(stored)
-
-    def _write_later(self, name: str, value: float) -> None:
-        stored = self._checked(name, value)
+    def _write_later(self, name: str, value: float) -> float:
+        stored = self._parameters.write_later(name, value)
         if name == _MASK_PARAM:
             self.group_mask = int(stored)
-        with self._answered:
-            self._writes[name] = self._writes.get(name, 0) + 1
-        self._later(f"setParam {name}", action=lambda: self._write(name, stored))
-
-    def _write(self, name: str, value: float) -> None:
-        client = self.client
-        if client is None or client.link is None:
-            with self._answered:
-                self._writes.pop(name, None)
-            self._events.emit(
-                CommandLost(self._clock.now(), self.id, f"setParam {name}", "not connected")
-            )
-            return
-        client.param.set_value(name, value)
-
-    def _param_answer(self, name: str, _: str) -> None:
-        with self._answered:
-            left = self._writes.get(name, 0) - 1
-            if left > 0:
-                self._writes[name] = left
-            else:
-                self._writes.pop(name, None)
-            self._answered.notify_all()
+        return stored
 
     def cached_param(self, name: str) -> float | None:
         """Last value that the vehicle told, None if it has no such parameter."""
-        client = self.client
-        group, _, variable = name.partition(".")
-        text = None if client is None else client.param.values.get(group, {}).get(variable)
-        return None if text is None else float(text)
+        return self._parameters.cached(name)
 
     def get_param(self, name: str) -> float:
-        """Value of a parameter, after writes under way are answered (blocks for those).
-
-        Raises
-        ------
-        BackendError
-            if the vehicle has none of this name, or does not answer in time.
-        """
-        self._element(name)
-        self._wait_written(name)
-        value = self.cached_param(name)
-        if value is None:
-            raise BackendError(f"{self.name}: the value of {name} has not arrived yet")
-        return value
-
-    def _wait_written(self, name: str) -> None:
-        timeout = self._options.param_timeout
-        with self._answered:
-            if not self._answered.wait_for(lambda: name not in self._writes, timeout):
-                raise BackendError(
-                    f"{self.name}: writing {name} was not acknowledged within {timeout:g} s"
-                )
+        """See :meth:`.parameters.Parameters.get`."""
+        return self._parameters.get(name)
 
     def set_param(self, name: str, value: float) -> None:
         """Write a parameter and compare what the vehicle answers (blocks).
@@ -598,12 +394,9 @@ class VehicleLink:
         CommandError
             if the value does not fit.
         """
-        stored = self._checked(name, value)
-        self._write_later(name, stored)
-        self._wait_written(name)
-        read = self.cached_param(name)
-        if read is None or not math.isclose(read, stored, rel_tol=1e-6, abs_tol=1e-9):
-            raise BackendError(f"{self.name}: wrote {stored} to {name}, but it reads {read}")
+        stored = self._write_later(name, value)
+        self._parameters.wait_written(name)
+        self._parameters.compare(name, stored)
 
     def _collision_avoidance(self, m: c.CollisionAvoidance) -> None:
         if self.cached_param("colAv.enable") is None:
@@ -633,9 +426,7 @@ class VehicleLink:
             try:
                 self.upload(ident, int(command.piece_offset), command.pieces)
             except BackendError as error:
-                self._events.emit(
-                    CommandLost(self._clock.now(), self.id, "uploadTrajectory", str(error))
-                )
+                self._lost_command("uploadTrajectory", str(error))
             finally:
                 self.outbox.upload_ends(ident, self._clock.now())
 
@@ -649,64 +440,8 @@ class VehicleLink:
         BackendError
             if the vehicle has no such memory, refuses, or does not answer in time.
         """
-        timeout = self._options.upload_timeout
-        where = f"{self.name}: uploadTrajectory {ident}"
-        data = pk.trajectory_bytes(pieces)
-        deadline = self._clock.now() + timeout
-        with self._upload_lock:
-            client = self.client
-            if client is None or client.link is None:
-                raise BackendError(f"{where}: not connected")
-            memories = client.mem.get_mems(_TRAJECTORY_MEMORY)
-            if not memories:
-                raise BackendError(f"{where}: this firmware has no trajectory memory")
-            self._write_memory(client, memories[0], pk.PIECE_BYTES * piece_offset, data, where)
-            answer: list[tuple[int | None, str]] = []
-            answered = threading.Event()
-
-            def done(code: int | None, reason: str) -> None:
-                answer.append((code, reason))
-                answered.set()
-
-            packet = pk.define_trajectory(ident, piece_offset, len(np.asarray(pieces)))
-            self.outbox.command(
-                HighLevelItem(packet, "uploadTrajectory", False, done, expires=False),
-                self._clock.now(),
-            )
-            if not answered.wait(max(0.5, deadline - self._clock.now())):
-                raise BackendError(f"{where}: not acknowledged within {timeout:g} s")
-            code, reason = answer[0]
-            if code != 0:
-                raise BackendError(f"{where}: {reason or f'refused with error {code}'}")
+        self._memory.upload(ident, piece_offset, pieces)
         self._events.emit(TrajectoryUploaded(self._clock.now(), self.id, ident))
-
-    def _write_memory(
-        self, client: Client, memory: Any, address: int, data: bytes, where: str
-    ) -> None:
-        finished = threading.Event()
-        failed: list[bool] = []
-        timeout = self._options.upload_timeout
-
-        def good(written: Any, at: int) -> None:
-            if written.id == memory.id and at == address:
-                finished.set()
-
-        def bad(written: Any, at: int) -> None:
-            if written.id == memory.id and at == address:
-                failed.append(True)
-                finished.set()
-
-        client.mem.mem_write_cb.add_callback(good)
-        client.mem.mem_write_failed_cb.add_callback(bad)
-        try:
-            client.mem.write(memory, address, data)
-            if not finished.wait(timeout):
-                raise BackendError(f"{where}: {len(data)} bytes not written within {timeout:g} s")
-            if failed:
-                raise BackendError(f"{where}: the vehicle refused {len(data)} bytes at {address}")
-        finally:
-            client.mem.mem_write_cb.remove_callback(good)
-            client.mem.mem_write_failed_cb.remove_callback(bad)
 
     # What is known
 

@@ -1,7 +1,7 @@
 """What waits to be sent to one vehicle, and what goes next.
 
 No thread, no socket: :meth:`Outbox.poll` is asked with the time and answers with the next
-:class:`Job`, or with the time to wait. The rules of the firmware for passing control between
+:class:`.lanes.Job`, or with the time to wait. The rules of the firmware for passing control between
 streamed setpoints and the high-level commander live here:
 
 - a high-level command that follows a stream (or a new connection, whose predecessor may have
@@ -19,76 +19,17 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
 
 from crazyarena.crazyswarm_compat.radio.budget import Budget
+from crazyarena.crazyswarm_compat.radio.emergency import EmergencyLane
+from crazyarena.crazyswarm_compat.radio.lanes import (
+    RESERVE,
+    HighLevelItem,
+    Job,
+    Lane,
+    LaneCounters,
+)
 from crazyarena.crazyswarm_compat.radio.packets import Packet, notify_setpoints_stop
-
-
-class Lane(IntEnum):
-    """Classes of traffic, the most urgent first."""
-
-    EMERGENCY = 0
-    WATCHDOG = 1
-    COMMAND = 2
-    SETPOINT = 3
-    EXTPOSE = 4
-    REST = 5
-
-
-# Share of a burst that a lane leaves to the more urgent ones.
-_RESERVE = {Lane.SETPOINT: 0.0, Lane.EXTPOSE: 0.25, Lane.REST: 0.5}
-
-
-@dataclass(frozen=True, slots=True)
-class LaneStatistics:
-    """Traffic of one class so far.
-
-    offered: items handed in; sent: packets that left; repeated: packets sent again because no
-    answer came; overwritten: replaced by a newer item; dropped: too old, too many, refused or
-    no link. mean_age, max_age: from hand-in to sending, s.
-    """
-
-    offered: int = 0
-    sent: int = 0
-    repeated: int = 0
-    overwritten: int = 0
-    dropped: int = 0
-    mean_age: float = 0.0
-    max_age: float = 0.0
-
-
-class LaneCounters:
-    """The numbers behind :class:`LaneStatistics`, while they grow."""
-
-    def __init__(self) -> None:
-        self.offered = 0
-        self.sent = 0
-        self.repeated = 0
-        self.overwritten = 0
-        self.dropped = 0
-        self._jobs = 0
-        self._age = 0.0
-        self._max_age = 0.0
-
-    def aged(self, age: float) -> None:
-        """Note the age of an item when it is sent."""
-        self._jobs += 1
-        self._age += age
-        self._max_age = max(self._max_age, age)
-
-    def snapshot(self) -> LaneStatistics:
-        """Numbers as of now."""
-        mean = self._age / self._jobs if self._jobs else 0.0
-        return LaneStatistics(
-            self.offered,
-            self.sent,
-            self.repeated,
-            self.overwritten,
-            self.dropped,
-            mean,
-            self._max_age,
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,37 +60,6 @@ class OutboxOptions:
 
 
 @dataclass(slots=True)
-class Job:
-    """Something to do now: packets to send, or an action that sends by itself."""
-
-    lane: Lane
-    born: float
-    packets: tuple[Packet, ...] = ()
-    action: Callable[[], None] | None = None
-    repeated: bool = False
-
-
-@dataclass(slots=True)
-class HighLevelItem:
-    """A command to the high-level commander.
-
-    takes_over: it is to fly the vehicle, so the stream must end; done: called with the
-    vehicle's answer, or None and a reason if there was none; needs_upload: id of a trajectory
-    that must have been uploaded before.
-    """
-
-    packet: Packet
-    verb: str
-    takes_over: bool
-    done: Callable[[int | None, str], None]
-    needs_upload: int | None = None
-    expires: bool = True
-    born: float = 0.0
-    order: int = 0
-    remain_ms: int = 0
-
-
-@dataclass(slots=True)
 class _Awaiting:
     item: HighLevelItem
     due: float
@@ -167,7 +77,6 @@ class _Setpoint:
 
 _NOTIFY_REPEATS = 3
 _NOTIFY_INTERVAL = 0.02
-_EMERGENCY_SLOW = 0.1
 
 
 class Outbox:
@@ -195,11 +104,9 @@ class Outbox:
         self._budget = budget
         self._release = release
         self._order = 0
-        self._emergency: Packet | None = None
-        self._emergency_born = 0.0
-        self._emergency_count = 0
-        self._emergency_due = math.inf
-        self._locked = False
+        self._emergency = EmergencyLane(
+            options.emergency_repeats, options.emergency_interval, options.emergency_patience
+        )
         self._watchdog: tuple[Packet, float] | None = None
         self._commands: deque[HighLevelItem] = deque()
         self._awaiting: _Awaiting | None = None
@@ -236,32 +143,25 @@ class Outbox:
     def emergency(self, packet: Packet, now: float) -> None:
         """Send before everything else, repeatedly; nothing that flies is sent afterwards."""
         with self.wake:
-            counters = self.counters[Lane.EMERGENCY]
-            counters.offered += 1
-            self._emergency = packet
-            self._emergency_born = now
-            self._emergency_count = 0
-            self._emergency_due = now
-            self._locked = True
+            self.counters[Lane.EMERGENCY].offered += 1
+            self._emergency.request(packet, now)
             self._stop_flying("emergency stop")
             self.wake.notify_all()
 
     def emergency_confirmed(self) -> None:
         """The vehicle says that it is locked: stop repeating, once the first burst is over."""
         with self.wake:
-            if self._emergency_count >= self._options.emergency_repeats:
-                self._emergency_due = math.inf
+            self._emergency.confirmed()
 
     @property
     def locked(self) -> bool:
         """Whether an emergency stop was sent; flight commands are dropped since."""
-        return self._locked
+        return self._emergency.locked
 
     def unlock(self) -> None:
         """Forget an emergency stop: the vehicle was rebooted."""
         with self.wake:
-            self._locked = False
-            self._emergency_due = math.inf
+            self._emergency.forget()
 
     def feed_watchdog(self, packet: Packet, now: float) -> None:
         """Send with priority; newest wins."""
@@ -278,7 +178,7 @@ class Outbox:
         with self.wake:
             counters = self.counters[Lane.SETPOINT]
             counters.offered += 1
-            if self._locked:
+            if self._emergency.locked:
                 counters.dropped += 1
                 return
             counters.overwritten += self._setpoint is not None
@@ -292,9 +192,9 @@ class Outbox:
         with self.wake:
             counters = self.counters[Lane.COMMAND]
             counters.offered += 1
-            if self._locked or len(self._commands) >= self._options.capacity:
+            if self._emergency.locked or len(self._commands) >= self._options.capacity:
                 counters.dropped += 1
-                reason = "emergency stop" if self._locked else "too many commands wait"
+                reason = "emergency stop" if self._emergency.locked else "too many commands wait"
                 item.done(None, reason)
                 return
             item.born, item.order = now, self._next_order()
@@ -378,16 +278,13 @@ class Outbox:
                 return
             counters.dropped += not job.repeated
             if job.lane is Lane.EMERGENCY:
-                # It is not given up for want of a link.
-                self._emergency_count = max(0, self._emergency_count - 1)
-                if math.isinf(self._emergency_due):
-                    self._emergency_due = 0.0
+                self._emergency.failed()
 
     def poll(self, now: float) -> Job | float:
         """Next job, or seconds to wait for one (until somebody hands something in)."""
         with self.wake:
             for take in (
-                self._poll_emergency,
+                self._emergency.poll,
                 self._poll_watchdog,
                 self._poll_notify,
                 self._poll_commands,
@@ -401,21 +298,6 @@ class Outbox:
                         self.counters[job.lane].aged(now - job.born)
                     return job
             return self._wait(now)
-
-    def _poll_emergency(self, now: float) -> Job | None:
-        if now < self._emergency_due or self._emergency is None:
-            return None
-        options = self._options
-        self._emergency_count += 1
-        burst = self._emergency_count < options.emergency_repeats
-        self._emergency_due = now + (options.emergency_interval if burst else _EMERGENCY_SLOW)
-        slow = self._emergency_count - options.emergency_repeats
-        if slow * _EMERGENCY_SLOW > options.emergency_patience:
-            self._emergency_due = math.inf
-        first = self._emergency_count == 1
-        return Job(
-            Lane.EMERGENCY, self._emergency_born, (self._emergency,), None, repeated=not first
-        )
 
     def _poll_watchdog(self, now: float) -> Job | None:
         if self._watchdog is None:
@@ -484,7 +366,7 @@ class Outbox:
             self._setpoint = None
             self.counters[Lane.SETPOINT].dropped += 1
             return None
-        if self._budget.wait(now, _RESERVE[Lane.SETPOINT]) > 0:
+        if self._budget.wait(now, RESERVE[Lane.SETPOINT]) > 0:
             return None
         self._setpoint = None
         self._setpoint_due = now + 1.0 / self._options.setpoint_rate
@@ -506,7 +388,7 @@ class Outbox:
             self._extpose = None
             self.counters[Lane.EXTPOSE].dropped += 1
             return None
-        if self._budget.wait(now, _RESERVE[Lane.EXTPOSE]) > 0:
+        if self._budget.wait(now, RESERVE[Lane.EXTPOSE]) > 0:
             return None
         self._extpose = None
         period = 1.0 / self._options.extpose_rate
@@ -517,13 +399,13 @@ class Outbox:
     def _poll_rest(self, now: float) -> Job | None:
         if not self._rest or now < self._rest_due:
             return None
-        if self._budget.wait(now, _RESERVE[Lane.REST]) > 0:
+        if self._budget.wait(now, RESERVE[Lane.REST]) > 0:
             return None
         self._rest_due = now + 1.0 / self._options.rest_rate
         return self._rest.popleft()
 
     def _wait(self, now: float) -> float:
-        due = min(self._emergency_due, self._release_at)
+        due = min(self._emergency.due, self._release_at)
         if self._notify_left:
             due = min(due, self._notify_due)
         if self._awaiting is not None:
@@ -536,7 +418,7 @@ class Outbox:
             (self._rest, self._rest_due, Lane.REST),
         ):
             if waiting:
-                due = min(due, max(at, now + self._budget.wait(now, _RESERVE[lane])))
+                due = min(due, max(at, now + self._budget.wait(now, RESERVE[lane])))
         # Never zero: a wait that is due but held back by another lane must not spin.
         return max(due - now, 1e-3)
 
@@ -545,9 +427,9 @@ class Outbox:
     def _end_stream(self, now: float) -> None:
         self._release_at = math.inf
         silent, self._streaming = self._streaming, False
-        item = None if self._locked else self._release(silent, self._kind)
+        item = None if self._emergency.locked else self._release(silent, self._kind)
         if item is None:
-            if self._low_level and not self._locked:
+            if self._low_level and not self._emergency.locked:
                 self._notify(now, self._remain_ms)
             return
         item.born, item.order = now, self._next_order()

@@ -7,13 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crazyarena.crazyswarm_compat.radio.budget import Budget
-from crazyarena.crazyswarm_compat.radio.outbox import (
-    HighLevelItem,
-    Job,
-    Lane,
-    Outbox,
-    OutboxOptions,
-)
+from crazyarena.crazyswarm_compat.radio.lanes import HighLevelItem, Job, Lane
+from crazyarena.crazyswarm_compat.radio.outbox import Outbox, OutboxOptions
 from crazyarena.crazyswarm_compat.radio.packets import Packet
 
 STOP = Packet(9, 1, b"\x03")
