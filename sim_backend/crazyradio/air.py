@@ -151,6 +151,11 @@ class Air:
 
     # Dongles
 
+    @property
+    def serials(self) -> Sequence[str]:
+        """Serial numbers of all dongles, plugged in or not."""
+        return tuple(self._senders)
+
     def dongles(self) -> Sequence[str]:
         return tuple(serial for serial, sender in self._senders.items() if sender.plugged)
 

@@ -74,9 +74,14 @@ class Dongle:
         self._free = -math.inf
         self._gone = False
 
+    @property
+    def gone(self) -> bool:
+        """Whether it was unplugged; plugged in again, it is another device."""
+        return self._gone
+
     def open(self) -> None:
         """Hold the device; raises what :meth:`.air.Medium.claim` raises."""
-        self._gone = False
+        self._alive()
         self._air.claim(self.serial)
 
     def close(self) -> None:

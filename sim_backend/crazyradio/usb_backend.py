@@ -28,6 +28,13 @@ _STRING, _GET_DESCRIPTOR = 3, 6
 _ENGLISH = 0x0409
 _DEVICE_TO_HOST, _TYPE_MASK, _VENDOR_TYPE = 0x80, 0x60, 0x40
 _MODULES = (usb.backend.libusb1, usb.backend.libusb0, usb.backend.openusb)
+# Where programs ask for a backend: of pyusb, and of the package by which cflib brings libusb, which
+# keeps the first answer.
+_PLACES: list[tuple[Any, str]] = [(module, "get_backend") for module in _MODULES]
+with contextlib.suppress(ImportError):
+    import libusb_package
+
+    _PLACES.append((libusb_package, "get_libusb1_backend"))
 
 
 @contextlib.contextmanager
@@ -66,7 +73,8 @@ class VirtualUsb(usb.backend.IBackend):
     def enumerate_devices(self) -> Sequence[Dongle]:
         found = []
         for serial in self._air.dongles():
-            if serial not in self._devices:
+            known = self._devices.get(serial)
+            if known is None or known.gone:
                 self._devices[serial] = Dongle(serial, self._air, self._clock, self._timing)
             found.append(self._devices[serial])
         return found
@@ -244,12 +252,12 @@ def install(
     A function that undoes it.
     """
     backend = VirtualUsb(air, clock or WallClock(), timing)
-    before = [module.get_backend for module in _MODULES]
-    for module in _MODULES:
-        module.get_backend = lambda *_, **__: backend
+    before = [getattr(module, name) for module, name in _PLACES]
+    for module, name in _PLACES:
+        setattr(module, name, lambda *_, **__: backend)
 
     def undo() -> None:
-        for module, get_backend in zip(_MODULES, before, strict=True):
-            module.get_backend = get_backend
+        for (module, name), function in zip(_PLACES, before, strict=True):
+            setattr(module, name, function)
 
     return undo
