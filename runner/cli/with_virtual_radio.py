@@ -13,15 +13,12 @@ from crazyarena.errors import InputError
 from crazyarena.runner.cli.common import bad_input_exits
 
 
-
 def register(app: typer.Typer) -> None:
     app.command("with-virtual-radio")(with_virtual_radio)
 
 
 def with_virtual_radio(
-    program: Annotated[
-        list[str], typer.Argument(metavar="-- PROGRAM [ARGS]", help="What to run.")
-    ],
+    program: Annotated[list[str], typer.Argument(metavar="-- PROGRAM [ARGS]", help="What to run.")],
     air: Annotated[
         str | None,
         typer.Option(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import random
 import socket
@@ -144,10 +145,8 @@ class RadioLink:
 
     def receive(self, now: float) -> list[tuple[bytes, Any]]:
         """Packets that have reached the flight controller."""
-        try:
+        with contextlib.suppress(OSError):
             self._ear.recv(4096)
-        except OSError:
-            pass
         with self._lock:
             return [(packet, None) for packet in self.uplink.take(now)]
 

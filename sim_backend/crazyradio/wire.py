@@ -38,7 +38,9 @@ class Status(IntEnum):
     IN_USE = 2
 
 
-def request(kind: Kind, number: int, token: bytes, serial: str, frame: Frame | None = None) -> bytes:
+def request(
+    kind: Kind, number: int, token: bytes, serial: str, frame: Frame | None = None
+) -> bytes:
     """Datagram of a request."""
     head = _HEAD.pack(_MAGIC, kind, number, token, serial.encode().ljust(SERIAL, b"\0"))
     if frame is None:

@@ -121,6 +121,7 @@ def build(options: Options) -> Host:
     if options.latency is not None:
         faults.latency, faults.jitter = ft.parse_latency(options.latency)
     volts = None if options.battery is None else ft.parse_volts(options.battery)
+    plan = parse_plan(options.channel, options.rate, options.dongles) if options.radio else None
 
     scene, first = None, (0.0, 0.0)
     yaw = 0.0
@@ -136,7 +137,6 @@ def build(options: Options) -> Host:
     for vehicle in swarm.vehicles:
         vehicle.warm_up()
 
-    plan = parse_plan(options.channel, options.rate, options.dongles) if options.radio else None
     clock = WallClock()
     cameras: SimSource | IdealCameras | None = None
     publisher = None

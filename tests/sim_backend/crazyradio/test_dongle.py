@@ -126,7 +126,7 @@ def test_unplugged_and_plugged_in_again(plugged):
 
 def test_without_acknowledgements_two_packets_go_in_one_transfer(plugged):
     vehicle = Vehicle()
-    _, clock = plugged(vehicle)
+    plugged(vehicle)
     radio = _radio()
     radio.set_ack_enable(False)
     radio.dev.write(1, bytes(range(0x30, 0x50)) * 2)
