@@ -32,6 +32,8 @@ _REALTIME = (
     "safety/test_estop.py",
     "safety/test_estop_over_udp.py",
     "safety/test_watchdog.py",
+    "sim_backend/crazyradio/test_cflib.py",
+    "sim_backend/crazyradio/test_safe_link.py",
     "sim_backend/crtp/test_cflib.py",
     "sim_backend/crtp/test_ground_killed.py",
     "sim_backend/crtp/test_server.py",

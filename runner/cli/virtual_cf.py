@@ -56,18 +56,32 @@ def virtual_cf(
         bool, typer.Option(help="Noise, delay and dropouts of real cameras.")
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of losses and camera noise.")] = 0,
+    radio: Annotated[
+        bool, typer.Option("--radio", help="Virtual Crazyradios instead of UDP ports.")
+    ] = False,
+    channel: Annotated[
+        str, typer.Option(help="Radio channels, which the vehicles take in turn: 80 or 80,90.")
+    ] = "80",
+    rate: Annotated[str, typer.Option(help="Radio data rate: 250K, 1M or 2M.")] = "2M",
+    dongles: Annotated[int, typer.Option(help="How many virtual Crazyradios are plugged in.")] = 1,
+    radio_port: Annotated[
+        int, typer.Option(help="UDP port on which programs with virtual dongles find the air.")
+    ] = 19840,
 ) -> None:
-    """Run simulated Crazyflies in wall time, each on its own UDP port.
+    """Run simulated Crazyflies in wall time, each on its own UDP port or on the air.
 
-    Any CRTP client finds them, e.g. cflib with udp://127.0.0.1:19850. The estimator knows only
+    Any CRTP client finds them, e.g. cflib with udp://127.0.0.1:19850; with --radio, any program
+    under crazyarena with-virtual-radio, as radio://0/80/2M/E7E7E7E701. The estimator knows only
     the poses that clients send (or --feed-poses). While it runs, standard input takes
-    "loss 5%", "latency 8ms±3ms", "battery 3.2V", "cut 2s", "reboot" and "status".
+    "loss 5%", "latency 8ms±3ms", "battery 3.2V", "cut 2s", "reboot" and "status", with --radio
+    also "unplug 0", "plug 0" and "noise 80 30%"; "cf2 loss 5%" means that vehicle alone.
     Ends at Ctrl-C or SIGTERM.
     """
     with bad_input_exits():
         if profile not in _PROFILES:
             raise InputError(f"--profile: found {profile!r}; choose {' or '.join(_PROFILES)}")
-        from crazyarena.sim_backend.crtp.host import Options, build, status
+        from crazyarena.sim_backend.crtp.host import Options, build
+        from crazyarena.sim_backend.crtp.orders import status
         from crazyarena.sim_backend.jit import is_cold
 
         if is_cold():
@@ -88,6 +102,11 @@ def virtual_cf(
                 mocap_rate=mocap_rate,
                 camera_noise=camera_noise,
                 seed=seed,
+                radio=radio,
+                channel=channel,
+                rate=rate,
+                dongles=dongles,
+                radio_port=radio_port,
             )
         )
     server = running.server
@@ -95,6 +114,8 @@ def virtual_cf(
         signal.signal(number, lambda *_: server.stop())
     for uri in server.uris:
         typer.echo(uri)
+    if running.gateway is not None:
+        typer.echo(f"air {running.gateway.address}")
     sys.stdout.flush()
     if _may_read_input():
         threading.Thread(target=_obey, args=(running,), daemon=True).start()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +15,14 @@ from crazyarena.mocap.camera_model import CameraModel
 from crazyarena.mocap.sim_source import SimSource
 from crazyarena.mocap.zenoh_link import ZenohPublisher
 from crazyarena.sim_backend.arena import ArenaFleet
+from crazyarena.sim_backend.crazyradio.air import Air
+from crazyarena.sim_backend.crazyradio.fleet import parse_plan, put_on_air
+from crazyarena.sim_backend.crazyradio.gateway import Gateway
+from crazyarena.sim_backend.crazyradio.wire import DEFAULT_PORT
 from crazyarena.sim_backend.crtp import faults as ft
 from crazyarena.sim_backend.crtp.film import IdealCameras
 from crazyarena.sim_backend.crtp.link import BASE_PORT
+from crazyarena.sim_backend.crtp.orders import obey
 from crazyarena.sim_backend.crtp.server import VirtualServer
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
 from crazyarena.sim_backend.physics.scene import build_scene
@@ -34,7 +38,8 @@ class Options:
     count vehicles from ``port`` on; ``level`` puts gates and obstacles into the world and the
     first vehicle at its start. ``feed_poses`` Hz, 0 for none. ``mocap`` publishes the poses over
     zenoh at ``mocap_rate`` Hz on ``mocap_endpoint``, as ideal cameras see them or, with
-    ``camera_noise``, as real ones do.
+    ``camera_noise``, as real ones do. ``radio`` puts the vehicles on the air instead of UDP ports,
+    on these channels, for programs whose dongles look for it on ``radio_port``.
     """
 
     count: int = 1
@@ -51,6 +56,11 @@ class Options:
     mocap_rate: float = 120.0
     camera_noise: bool = False
     seed: int = 0
+    radio: bool = False
+    channel: str = "80"
+    rate: str = "2M"
+    dongles: int = 1
+    radio_port: int = DEFAULT_PORT
 
 
 def starts(count: int, first: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
@@ -65,91 +75,33 @@ def starts(count: int, first: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
 class Host:
     """A running set of virtual vehicles and the publisher of their poses."""
 
-    def __init__(self, server: VirtualServer, publisher: ZenohPublisher | None) -> None:
+    def __init__(
+        self,
+        server: VirtualServer,
+        publisher: ZenohPublisher | None,
+        gateway: Gateway | None = None,
+    ) -> None:
         self.server = server
+        self.gateway = gateway
         self._publisher = publisher
+
+    @property
+    def air(self) -> Air | None:
+        """What the dongles send on, None over UDP."""
+        return None if self.gateway is None else self.gateway.air
 
     def close(self) -> None:
         """Release ports and session; idempotent."""
+        if self.gateway is not None:
+            self.gateway.close()
         self.server.close()
         if self._publisher is not None:
             self._publisher.close()
             self._publisher = None
 
     def command(self, line: str) -> str:
-        """Inject a fault by a line of text; returns what was done.
-
-        Raises
-        ------
-        InputError: not one of ``loss 5%``, ``latency 8ms±3ms``, ``battery 3.2V``, ``cut 2s``,
-            ``reboot``, ``status``.
-        """
-        word, _, value = line.strip().partition(" ")
-        action = _COMMANDS.get(word)
-        if action is None:
-            known = ", ".join(_COMMANDS)
-            raise InputError(f"command: found {line.strip()!r}; write one of {known}")
-        return action(self.server, value)
-
-
-def _loss(server: VirtualServer, value: str) -> str:
-    server.set_faults(loss=ft.parse_share(value))
-    return f"loss {value}"
-
-
-def _latency(server: VirtualServer, value: str) -> str:
-    latency, jitter = ft.parse_latency(value)
-    server.set_faults(latency=latency, jitter=jitter)
-    return f"latency {value}"
-
-
-def _battery(server: VirtualServer, value: str) -> str:
-    server.set_battery(ft.parse_volts(value))
-    return f"battery {value}"
-
-
-def _cut(server: VirtualServer, value: str) -> str:
-    seconds, _ = ft.parse_latency(value)
-    server.cut(seconds)
-    return f"link cut for {value}"
-
-
-def _reboot(server: VirtualServer, value: str) -> str:
-    server.reboot()
-    return "rebooted"
-
-
-def _status(server: VirtualServer, value: str) -> str:
-    return "\n".join(status(server))
-
-
-_COMMANDS: dict[str, Callable[[VirtualServer, str], str]] = {
-    "loss": _loss,
-    "latency": _latency,
-    "battery": _battery,
-    "cut": _cut,
-    "reboot": _reboot,
-    "status": _status,
-}
-
-
-def status(server: VirtualServer) -> list[str]:
-    """Lines on each vehicle's link and on how the simulation keeps up with wall time."""
-    lines = []
-    for link, vehicle in zip(server.links, server.swarm.vehicles, strict=True):
-        up, down = link.uplink.counters, link.downlink.counters
-        lines.append(
-            f"{link.uri}: received {up.carried} (lost {up.lost}, repeated {up.repeated}, "
-            f"cut {up.cut}, malformed {vehicle.counters.malformed}), sent {down.carried} "
-            f"(lost {down.lost}, repeated {down.repeated}, cut {down.cut}), "
-            f"supervisor {vehicle.flight.info():#05x}"
-        )
-    pace = server.pace
-    lines.append(
-        f"simulated {1e-3 * pace.ticks:.1f} s; fell behind by more than 50 ms "
-        f"{pace.stalls} times, at most {pace.worst} ms; nothing skipped"
-    )
-    return lines
+        """Inject a fault by a line of text; returns what was done, as :func:`.orders.obey`."""
+        return obey(self.server, self.air, line)
 
 
 def build(options: Options) -> Host:
@@ -169,6 +121,7 @@ def build(options: Options) -> Host:
     if options.latency is not None:
         faults.latency, faults.jitter = ft.parse_latency(options.latency)
     volts = None if options.battery is None else ft.parse_volts(options.battery)
+    plan = parse_plan(options.channel, options.rate, options.dongles) if options.radio else None
 
     scene, first = None, (0.0, 0.0)
     yaw = 0.0
@@ -196,11 +149,16 @@ def build(options: Options) -> Host:
             cameras = SimSource(clock, model=CameraModel(rate=rate), seed=options.seed)
         else:
             cameras = IdealCameras(clock.now(), rate)
+    gateway, links = None, None
     try:
+        if plan is not None:
+            links, air = put_on_air(fleet.ids, clock, plan, faults, options.seed)
+            gateway = Gateway(air, clock, options.host, options.radio_port)
         server = VirtualServer(
             swarm,
             options.host,
             options.port,
+            links=links,
             faults=faults,
             clock=clock,
             cameras=cameras,
@@ -213,4 +171,4 @@ def build(options: Options) -> Host:
         raise
     if volts is not None:
         server.set_battery(volts)
-    return Host(server, publisher)
+    return Host(server, publisher, gateway)

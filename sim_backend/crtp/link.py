@@ -98,5 +98,20 @@ class UdpLink:
         """When the next datagram under way arrives, s; inf if none."""
         return min(self.uplink.due(), self.downlink.due())
 
+    def boots(self) -> bool:
+        """Whether somebody has switched the vehicle on over the link: UDP knows no power."""
+        return False
+
+    def reboot(self, now: float) -> None:
+        """The vehicle was switched off and on; its client is still its client."""
+
+    def report(self) -> str:
+        """What was received and sent, in words."""
+        up, down = self.uplink.counters, self.downlink.counters
+        return (
+            f"received {up.carried} (lost {up.lost}, repeated {up.repeated}, cut {up.cut}), "
+            f"sent {down.carried} (lost {down.lost}, repeated {down.repeated}, cut {down.cut})"
+        )
+
     def close(self) -> None:
         self._socket.close()

@@ -1,4 +1,4 @@
-"""Virtual Crazyflies in wall time, one UDP port each."""
+"""Virtual Crazyflies in wall time, each behind a UDP port or a radio."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import selectors
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
@@ -37,14 +37,53 @@ class Pace:
     worst: int = 0
 
 
+class Carrier(Protocol):
+    """One direction of a link."""
+
+    def due(self) -> float:
+        """When the next packet under way arrives, s; inf if none."""
+        ...
+
+
+class Link(Protocol):
+    """One vehicle's link to the ground; :class:`.link.UdpLink` says what each does."""
+
+    faults: Faults
+
+    @property
+    def uri(self) -> str: ...
+
+    @property
+    def uplink(self) -> Carrier: ...
+
+    def fileno(self) -> int: ...
+
+    def receive(self, now: float) -> list[tuple[bytes, Any]]: ...
+
+    def send(self, datagram: bytes, now: float, receiver: Any = None) -> None: ...
+
+    def flush(self, now: float) -> None: ...
+
+    def due(self) -> float: ...
+
+    def boots(self) -> bool: ...
+
+    def reboot(self, now: float) -> None: ...
+
+    def report(self) -> str: ...
+
+    def close(self) -> None: ...
+
+
 class VirtualServer:
-    """Runs a swarm in wall time and connects each vehicle to a UDP port.
+    """Runs a swarm in wall time and connects each vehicle to its link.
 
     Parameters
     ----------
     swarm: nobody else may advance it.
     host, port: vehicle i listens on ``port + i``; port 0 takes free ones.
-    faults: at the start, copied for each vehicle.
+    links: of the vehicles, instead of those ports; closed with the server.
+    faults: at the start, copied for each vehicle; those of ``links`` are their own.
     clock: wall clock.
     cameras: sees the true poses; what it delivers is given to ``publisher``.
     publisher: sends the frames of the cameras to whoever listens.
@@ -61,6 +100,7 @@ class VirtualServer:
         host: str = "127.0.0.1",
         port: int = BASE_PORT,
         *,
+        links: Sequence[Link] | None = None,
         faults: Faults | None = None,
         clock: Clock | None = None,
         cameras: PushedCameras | None = None,
@@ -69,7 +109,7 @@ class VirtualServer:
     ) -> None:
         self.swarm = swarm
         self.pace = Pace()
-        self.links: list[UdpLink] = []
+        self.links: list[Link] = [] if links is None else list(links)
         self._clock = clock or WallClock()
         self._cameras = cameras
         self._publisher = publisher
@@ -79,8 +119,10 @@ class VirtualServer:
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._selector = selectors.DefaultSelector()
+        for index, given in enumerate(self.links):
+            self._selector.register(given.fileno(), selectors.EVENT_READ, index)
         try:
-            for index in range(len(swarm.vehicles)):
+            for index in range(len(self.links), len(swarm.vehicles)):
                 number = port + index if port else 0
                 if number > 65535:
                     raise InputError(f"virtual Crazyflie: port {number} is beyond 65535")
@@ -116,10 +158,11 @@ class VirtualServer:
                 self.swarm.vehicles[index].set_battery(volts)
 
     def reboot(self, vehicle: int | None = None) -> None:
-        """Restart the firmware where the vehicle stands."""
+        """Restart the firmware where the vehicle stands; a radio is silent meanwhile."""
         with self._lock:
             for index in self._chosen(vehicle):
                 self.swarm.vehicles[index].reboot()
+                self.links[index].reboot(self._clock.now())
 
     def _chosen(self, vehicle: int | None) -> Sequence[int]:
         return range(len(self.links)) if vehicle is None else (vehicle,)
@@ -204,6 +247,8 @@ class VirtualServer:
             if index not in ready and link.uplink.due() > now:
                 continue
             vehicle = self.swarm.vehicles[index]
+            if link.boots():
+                vehicle.reboot()
             for datagram, sender in link.receive(now):
                 for answer in vehicle.receive(datagram):
                     link.send(answer, now, sender)

@@ -28,6 +28,8 @@ class VirtualProcess:
         threading.Thread(target=self._read, daemon=True).start()
         count = int(options[options.index("--count") + 1]) if "--count" in options else 1
         self.uris = [self._line(STARTUP) for _ in range(count)]
+        # Where programs with virtual dongles find its vehicles.
+        self.air = self._line().removeprefix("air ") if "--radio" in options else ""
 
     def _read(self) -> None:
         assert self._process.stdout is not None
