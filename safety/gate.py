@@ -72,7 +72,7 @@ class CommandGate:
         self._clock = clock
         self.limits = limits or Limits()
         self._policy = policy
-        self._room = Room(fence, self.limits, state or (lambda vehicle: None))
+        self._room = Room(fence, self.limits, state or (lambda vehicle: None), backend.get_param)
         self._on_command = on_command
         self._on_event = on_event
         self._lock = threading.Lock()

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.safety.admission import parameters, plans, setpoints, trajectories
+from crazyarena.safety.admission import avoidance, parameters, plans, setpoints, trajectories
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room
 
@@ -24,5 +24,6 @@ FITTERS: dict[type, Fitter] = {
     c.GoTo: plans.go_to,
     c.UploadTrajectory: trajectories.upload,
     c.StartTrajectory: trajectories.start,
+    c.CollisionAvoidance: avoidance.collision_avoidance,
     c.SetParam: parameters.set_param,
 }

@@ -34,6 +34,7 @@ class VehicleMemory:
     is_reference: bool = False
     tokens: float = 0.0
     tokens_time: float = -math.inf
+    boot: dict[str, float] = field(default_factory=dict)  # parameters before the runner's writes
     trajectories: dict[int, np.ndarray] = field(default_factory=dict)
 
     def refusal(self, command: Command, reason: str) -> Refused:

@@ -30,15 +30,21 @@ class Room:
     Parameters
     ----------
     state: latest believed state of a vehicle, or None.
+    parameter: value of a firmware parameter of a vehicle; raises BackendError.
     """
 
     def __init__(
-        self, fence: Fence, limits: Limits, state: Callable[[int], VehicleState | None]
+        self,
+        fence: Fence,
+        limits: Limits,
+        state: Callable[[int], VehicleState | None],
+        parameter: Callable[[int, str], float],
     ) -> None:
         self.fence = fence
         self.limits = limits
         self.link_loss = LinkLoss(fence, limits)
         self.state = state
+        self.parameter = parameter
 
     def where(self, vehicle: int) -> Point | None:
         state = self.state(vehicle)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from crazyarena.clock import VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.errors import CommandError
+from crazyarena.errors import BackendError, CommandError
 from crazyarena.safety.gate import CommandGate, Policy, Refused
 from crazyarena.safety.limits import Limits
 from crazyarena.types import Pose, Telemetry, VehicleState
@@ -31,6 +31,7 @@ class Sink:
         self.sent: list[tuple[c.Command, int | None]] = []
         self.poses: list[dict[int, Pose]] = []
         self.state: VehicleState | None = None
+        self.params: dict[str, float] = {}
 
     def send(self, command: c.Command, vehicle: int | None = None) -> None:
         self.sent.append((command, vehicle))
@@ -42,7 +43,9 @@ class Sink:
         return Telemetry(0.0, state=self.state)
 
     def get_param(self, vehicle: int, name: str) -> float:
-        return 0.0
+        if name not in self.params:
+            raise BackendError(f"no parameter {name}")
+        return self.params[name]
 
     def close(self) -> None: ...
 
@@ -322,14 +325,101 @@ def test_trajectories_are_checked_at_their_start():
     assert "not uploaded" in rig.refused(c.StartTrajectory(2))
 
 
+BOOT = {"ctrlMel.kp_xy": 0.4, "ctrlMel.ki_m_xy": 0.0, "posCtlPid.thrustBase": 36000.0}
+
+
 def test_parameters_that_blind_or_stop_are_closed_in_flight():
     rig = Rig()
     rig.send(c.SetParam("stabilizer.controller", 2))
-    rig.refused(c.SetParam("motorPowerSet.enable", 1))
+    for name in ("motorPowerSet.enable", "supervisor.tmblChckEn", "flightmode.stabModeRoll"):
+        rig.refused(c.SetParam(name, 1))
     rig.send(full((0, 0, 1)))
-    for name in ("stabilizer.controller", "kalman.resetEstimation", "supervisor.landedTimeout"):
+    for name in ("stabilizer.controller", "kalman.resetEstimation", "stabilizer.stop"):
         assert "flight" in rig.refused(c.SetParam(name, 1))
     rig.send(c.SetParam("ring.effect", 7))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "ctrlMel/kp_xy",
+        "ctrlMel.mass",
+        "posCtlPid.xKp",
+        "velCtlPid.vxKp",
+        "pid_attitude.roll_kp",
+        "pid_rate/roll_kp",
+        "hlCommander.vland",
+        "locSrv.extPosStdDev",
+        "kalman.pNAcc_z",
+        "colAv.bboxMinX",
+        "somebodys.own",
+    ],
+)
+def test_what_shapes_the_flight_is_closed_in_flight(name):
+    rig = Rig(limits=Limits())
+    rig.sink.params = dict.fromkeys((name, name.replace("/", ".")), 1.0)
+    rig.send(c.SetParam(name, 1.0))
+    rig.send(full((0, 0, 1)))
+    assert "cannot be written in flight" in rig.refused(c.SetParam(name, 1.0))
+
+
+@pytest.mark.parametrize("in_flight", [False, True])
+def test_gains_stay_in_a_range_around_what_they_were(in_flight):
+    rig = Rig(limits=Limits(tune_in_flight=True))
+    rig.sink.params = dict(BOOT)
+    if in_flight:
+        rig.send(full((0, 0, 1)))
+    for asked, told in ((-4.0, 0.32), (0.45, 0.45), (9.0, 0.5), (0.0, 0.32)):
+        assert rig.send(c.SetParam("ctrlMel/kp_xy", asked)).value == pytest.approx(told)
+        # The range does not move with what has been written.
+        rig.sink.params["ctrlMel.kp_xy"] = told
+    assert rig.send(c.SetParam("ctrlMel.ki_m_xy", 5.0)).value == 0.0
+    assert "ctrlMel.kd_xy" in rig.refused(c.SetParam("ctrlMel.kd_xy", 0.2))  # nobody knows it
+    assert "range around" in rig.events[-2].detail
+
+
+def test_refusing_policy_refuses_what_is_out_of_range():
+    rig = Rig(policy=Policy.REFUSE)
+    rig.sink.params = dict(BOOT)
+    assert "ctrlMel.kp_xy -4 is outside 0.32 .. 0.5" in rig.refused(c.SetParam("ctrlMel.kp_xy", -4))
+    command = c.SetParam("ctrlMel.kp_xy", 0.5)
+    assert rig.send(command) is command
+
+
+def test_controllers_are_told_apart_as_the_firmware_reads_them():
+    for passed in (2, 2.9, 2.0):
+        Rig().send(c.SetParam("stabilizer/controller", passed))
+    for gentler in (0, 1, 1.4, 0.9, -0.5):
+        assert "more gently" in Rig().refused(c.SetParam("stabilizer.controller", gentler))
+        Rig(limits=Limits(braking=3.5)).send(c.SetParam("stabilizer.controller", gentler))
+    for unknown in (3, 4.2, 5, 6, 255, 256, 258, -1, 1e30):
+        rig = Rig(limits=Limits(braking=3.5))
+        rig.refused(c.SetParam("stabilizer.controller", unknown))
+        rig.refused(c.SetParam("stabilizer/controller", unknown))
+
+
+def test_integers_lose_their_fraction_before_they_are_bounded():
+    rig = Rig()
+    rig.sink.params = dict(BOOT)
+    rig.send(c.SetParam("posCtlPid.thrustBase", 39600.9))
+    assert rig.send(c.SetParam("posCtlPid.thrustBase", 39601)).value == pytest.approx(39600.0)
+    assert "does not hold" in rig.refused(c.SetParam("posCtlPid.thrustBase", 65536.0))
+    assert "does not hold" in rig.refused(c.SetParam("ctrlMel.kp_xy", 1e39))
+
+
+def test_avoidance_on_board_is_kept_inside_the_fence():
+    rig = Rig()
+    sent = rig.send(c.CollisionAvoidance(True))
+    assert sent.bbox_min == pytest.approx((-2.95, -2.95, -0.1))
+    assert sent.bbox_max == pytest.approx((2.95, 2.95, 1.95))
+    assert rig.events == []
+    assert rig.send(c.CollisionAvoidance(True, max_speed=9.0)).max_speed == 3.0
+    outside = c.CollisionAvoidance(True, bbox_min=(4.0, -1.0, 0.0), bbox_max=(5.0, 1.0, 1.0))
+    assert "outside the fence" in rig.refused(outside)
+    away = c.CollisionAvoidance(True, bbox_min=(2.0, -1.0, 0.0), bbox_max=(2.5, 1.0, 1.5))
+    assert "drag" in rig.refused(away)
+    off = c.CollisionAvoidance(False)
+    assert rig.send(off) is off
 
 
 def test_budget_is_enforced_and_never_on_a_stop():
