@@ -26,11 +26,11 @@ from crazyarena.safety.admission.room import Room
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.observation import Point, as_point
+from crazyarena.safety.observation import Point
+from crazyarena.safety.planner import Flown
 from crazyarena.types import Pose, Telemetry, VehicleState
 
 _STOPPING = (c.Emergency, c.CutMotors, c.Stop)
-_FLYING = (*c.STREAMED, c.Takeoff, c.GoTo, c.StartTrajectory)
 _TELEMETRY_GOOD = 0.3  # s, up to which the vehicle's own estimate is carried on
 
 Listener = Callable[[c.Command, c.Command | None, str, int | None], None]
@@ -199,11 +199,16 @@ class CommandGate:
             with self._lock:
                 self._admit(command, vehicle, targets)
                 sent = {target: self._fit(command, target) for target in targets}
+                relaxed = [t for t in targets if self._must_relax(sent[t][0], t)]
+                for target, (one, _) in sent.items():
+                    self._vehicles[target].sent(one, self._clock.now())
         except CommandError as error:
             self.refused += 1
             self._tell(command, None, str(error), vehicle)
             self._report("gate_refused", vehicle, str(error))
             raise
+        for target in relaxed:
+            self._backend.send(c.NotifySetpointsStop(), target)
         if vehicle is None and all(one is command for one, _ in sent.values()):
             self._backend.send(command, None)
         else:
@@ -248,40 +253,30 @@ class CommandGate:
         """The command as it may be sent, and what had to be changed about it."""
         now = self._clock.now()
         memory = self._vehicles[vehicle]
+        memory.then = None
         fitter = FITTERS.get(type(command))
         fitted, reasons = command, list[str]()
         if fitter is not None:
             fitted, reasons = fitter(self._room, command, memory, now)
         if reasons and self._policy is Policy.REFUSE:
             raise Refused(f"cf{vehicle}: {verb(command)}: {'; '.join(reasons)}")
-        if isinstance(fitted, _FLYING):
-            memory.ending = False
-            if memory.flying_since is None:
-                memory.flying_since = now
-        elif isinstance(fitted, c.Land):
-            memory.ending = True
-        if isinstance(fitted, c.STREAMED):
-            memory.streaming = True
-            memory.setpoint_time = now
-            memory.is_reference = isinstance(fitted, c.FullState)
-            if isinstance(fitted, c.FullState | c.Position):
-                memory.setpoint = as_point(fitted.position)
-            else:
-                memory.setpoint = None
-            memory.velocity = (0.0, 0.0, 0.0)
-            if isinstance(fitted, c.FullState):
-                memory.velocity = as_point(fitted.velocity)
-        elif isinstance(fitted, c.NotifySetpointsStop | c.Land | c.Takeoff | c.GoTo):
-            memory.streaming = False
         return fitted, "; ".join(reasons)
+
+    def _must_relax(self, command: c.Command, vehicle: int) -> bool:
+        """Whether the vehicle would not fly this plan, but keep the last streamed setpoint."""
+        memory = self._vehicles[vehicle]
+        return (
+            memory.planner.flown is Flown.STREAM
+            and not memory.relaxed
+            and isinstance(command, c.Land | c.GoTo | c.StartTrajectory)
+            and memory.addressed(command.group_mask)
+        )
 
     def _note_stop(self, command: c.Command, vehicle: int | None) -> None:
         for target in self._vehicles if vehicle is None else [vehicle]:
             memory = self._vehicles.get(target)
             if memory is not None:
-                memory.streaming = False
-                memory.ending = True
-                memory.setpoint = None
+                memory.stopped()
 
     # Telling
 

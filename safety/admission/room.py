@@ -6,12 +6,14 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import InputError
 from crazyarena.safety.admission.memory import Refused, VehicleMemory
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.link_loss import LinkLoss, largest_share
 from crazyarena.safety.observation import Point, as_point
+from crazyarena.safety.planner import Motion
 from crazyarena.types import VehicleState
 
 # Peaks of the firmware's rest-to-rest polynomial of 7th order over distance and duration.
@@ -19,6 +21,7 @@ _PEAK_SPEED = 35.0 / 16.0
 _PEAK_ACCELERATION = 7.5132
 _VELOCITY_HORIZON = 0.5  # s of a velocity setpoint that have to end inside the fence
 _MEMORY = 0.5  # s after which the last setpoint no longer bounds the next
+_WAY_STEP = 0.025  # m, between looks along a way
 OUT_IF_LOST = "it would carry the vehicle out of the fence if the link were lost now"
 
 
@@ -49,6 +52,45 @@ class Room:
     def where(self, vehicle: int) -> Point | None:
         state = self.state(vehicle)
         return None if state is None else as_point(state.position)
+
+    def seen(self, vehicle: int) -> Motion | None:
+        """How the vehicle moves, as far as anybody knows."""
+        state = self.state(vehicle)
+        if state is None:
+            return None
+        return Motion(as_point(state.position), as_point(state.velocity))
+
+    def near_its_plan(
+        self, m: c.Command, memory: VehicleMemory, begin: Point | None, seen: Motion | None
+    ) -> None:
+        """Refuse what would begin on a plan that the vehicle is not following."""
+        if begin is None or seen is None:
+            return
+        away = math.dist(begin, seen.position)
+        if away > self.limits.setpoint_lead:
+            raise memory.refusal(
+                m,
+                f"the vehicle is {away:.2f} m from where its plan has it, at most "
+                f"{self.limits.setpoint_lead:g} m may be",
+            )
+
+    def clear_share(self, begin: Point, end: Point, least: float) -> float:
+        """Share of the straight way from ``begin`` to ``end`` with at least ``least`` m of room.
+
+        The ground is where a vehicle stands, so what is below counts as lying on it.
+        """
+        fence = self.fence
+        steps = max(1, math.ceil(math.dist(begin, end) / _WAY_STEP))
+
+        def good(share: float) -> bool:
+            x, y, z = (a + share * (b - a) for a, b in zip(begin, end, strict=True))
+            return fence.room(x, y, max(z, fence.floor)) >= least - 1e-6
+
+        bad = next((k for k in range(1, steps + 1) if not good(k / steps)), None)
+        if bad is None:
+            return 1.0
+        last = (bad - 1) / steps
+        return last + largest_share(lambda part: good(last + part / steps), 6) / steps
 
     def motion(self, vehicle: int) -> tuple[Point, Point] | None:
         """Place and velocity for the look at link losses; None if off, or nobody knows them."""
@@ -118,7 +160,20 @@ class Room:
         where = self.where(memory.vehicle)
         if where is not None:
             point = towards(where, point, n.setpoint_lead, "vehicle", reasons)
+            if not self.fence.is_convex:
+                point = self._in_sight(where, point, reasons)
         return point
+
+    def _in_sight(self, where: Point, point: Point, reasons: list[str]) -> Point:
+        """``point``, or the last place before fence or zone on the straight way to it."""
+        x, y, z = where
+        least = min(0.0, self.fence.room(x, y, max(z, self.fence.floor)))
+        share = self.clear_share(where, point, least)
+        if share >= 1.0:
+            return point
+        reasons.append(f"the way to {text(point)} m leads out of the fence")
+        x, y, z = (a + share * (b - a) for a, b in zip(where, point, strict=True))
+        return x, y, z
 
     def duration(self, distance: float, duration: float, reasons: list[str]) -> float:
         """The duration, or the shortest that keeps the polynomial within the limits."""

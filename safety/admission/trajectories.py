@@ -1,4 +1,8 @@
-"""Checks of uploaded trajectories, made when they are started."""
+"""Uploaded trajectories: judged when they start, by the memory that they will read.
+
+The vehicle has one memory for all; an id is but a name of a part of it, which a later upload
+may have overwritten. What a flying trajectory reads cannot be overwritten.
+"""
 
 from __future__ import annotations
 
@@ -8,77 +12,89 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room
 from crazyarena.safety.observation import as_point
+from crazyarena.safety.planner import uploaded
 
-_SAMPLES_PER_PIECE = 24
+_IDS = 31
+# A polynomial of 7th order has nowhere to hide between so many points.
+_SAME_PLACE = 0.05  # m
+_SAMPLES_PER_PIECE, _SAMPLE_STEP = 64, 0.05
 
 
 def upload(
     room: Room, m: c.UploadTrajectory, memory: VehicleMemory, now: float
 ) -> tuple[c.Command, list[str]]:
-    memory.trajectories[int(m.trajectory_id)] = np.array(m.pieces, dtype=np.float64)
+    if not 0 <= int(m.trajectory_id) < _IDS:
+        raise memory.refusal(m, f"trajectory id {m.trajectory_id}: there are 0 .. {_IDS - 1}")
+    if np.abs(m.pieces).max() > np.finfo(np.float32).max:
+        raise memory.refusal(m, "a coefficient is too large for the vehicle")
+    offset = int(m.piece_offset)
+    read = memory.planner.slots
+    if offset < read.stop and read.start < offset + len(m.pieces):
+        raise memory.refusal(
+            m,
+            f"pieces {read.start} .. {read.stop - 1} of its memory are being flown; choose another "
+            "pieceOffset, or wait until another command has replaced the trajectory",
+        )
+    memory.then = lambda: memory.trajectories.write(int(m.trajectory_id), offset, m.pieces)
     return m, []
 
 
 def start(
     room: Room, m: c.StartTrajectory, memory: VehicleMemory, now: float
 ) -> tuple[c.Command, list[str]]:
-    pieces = memory.trajectories.get(int(m.trajectory_id))
-    if pieces is None:
+    ident = int(m.trajectory_id)
+    part = memory.trajectories.part(ident)
+    if part is None:
         raise memory.refusal(
             m,
-            f"trajectory {m.trajectory_id} was not uploaded "
-            "through this gate, so it cannot be checked",
+            f"trajectory {ident} was not uploaded through this gate, so it cannot be checked",
         )
-    places, velocities, acceleration = sampled(pieces, float(m.timescale))
-    speed = float(np.linalg.norm(velocities, axis=1).max())
-    if m.reverse:
-        velocities = -velocities
+    other = memory.trajectories.overwritten_by(ident)
+    if other is not None:
+        raise memory.refusal(
+            m,
+            f"trajectory {other} was uploaded over trajectory {ident}; upload it again, or give "
+            "each its own pieceOffset",
+        )
+    plan = uploaded(memory.trajectories.read(ident), float(m.timescale), bool(m.reverse))
+    seen = room.seen(memory.vehicle)
+    # From where the planner has the vehicle, and from where it is seen, if that is not the same.
+    begins = [memory.planner.last_known(now, seen), None if seen is None else seen.position]
     if m.relative:
-        where = room.where(memory.vehicle)
-        if where is None:
+        if begins[0] is None or begins[1] is None:
             raise memory.refusal(m, "relative, but nobody knows where the vehicle is")
-        places = places + (np.array(where) - places[-1 if m.reverse else 0])
-    worst = min(room.fence.room(x, y, z) for x, y, z in places.tolist())
-    for what, found, limit in (
-        ("speed", speed, room.limits.setpoint_speed),
-        ("acceleration", acceleration, room.limits.setpoint_acceleration),
+        first = np.array(plan.at(0.0).position)
+        plan, seen_plan = (plan.moved(np.array(begin) - first) for begin in begins)
+    else:
+        seen_plan = plan
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not a number is refused below
+        places, velocities, accelerations = plan.samples(_SAMPLES_PER_PIECE, _SAMPLE_STEP)
+    n = room.limits
+    for what, rows, limit in (
+        ("speed", velocities, n.setpoint_speed),
+        ("acceleration", accelerations, n.setpoint_acceleration),
     ):
-        if found > limit:
+        found = float(np.linalg.norm(rows, axis=1).max())
+        if not found <= limit:
             raise memory.refusal(
                 m, f"{what} reaches {found:.2f}, above {limit:g}; use a larger timescale"
             )
-    if worst < 0.0:
-        raise memory.refusal(m, f"it leads {-worst:.2f} m out of the fence")
+    shift = np.array(seen_plan.at(0.0).position) - places[0]
+    for away in [np.zeros(3)] if np.abs(shift).max() < _SAME_PLACE else [np.zeros(3), shift]:
+        worst = min(room.fence.room(x, y, z) for x, y, z in (places + away).tolist())
+        if not worst >= 0.0:
+            raise memory.refusal(m, f"it leads {-worst:.2f} m out of the fence")
+    room.near_its_plan(m, memory, as_point(places[0]), seen)
     if room.link_loss.on:
         lost = max(
             room.link_loss.ballistic_excess(as_point(place), as_point(velocity))
             for place, velocity in zip(places, velocities, strict=True)
         )
-        if lost > room.limits.link_loss_margin:
+        if not lost <= n.link_loss_margin:
             raise memory.refusal(
                 m,
-                f"cut on the way the vehicle would end "
-                f"{lost:.2f} m outside the fence; use a larger timescale or keep away from it",
+                f"cut on the way the vehicle would end {lost:.2f} m outside the fence; use a "
+                "larger timescale or keep away from it",
             )
-    memory.streaming = False
+    memory.then = lambda: memory.follows(plan, now, m.group_mask, slots=part)
     return m, []
-
-
-def sampled(pieces: np.ndarray, timescale: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Places (k, 3) m and velocities (k, 3) m/s along a trajectory, largest acceleration m/s2."""
-    places, velocities, accelerations = [], [], []
-    powers = np.arange(8)
-    for piece in pieces:
-        t = np.linspace(0.0, piece[0], _SAMPLES_PER_PIECE)[:, None]
-        axes = piece[1:25].reshape(3, 8)
-        basis = t**powers
-        first = powers[1:] * t ** powers[:-1]
-        second = powers[2:] * powers[1:-1] * t ** powers[:-2]
-        places.append(basis @ axes.T)
-        velocities.append(first @ axes[:, 1:].T)
-        accelerations.append(np.linalg.norm(second @ axes[:, 2:].T, axis=1).max())
-    return (
-        np.concatenate(places),
-        np.concatenate(velocities) / timescale,
-        float(max(accelerations)) / timescale**2,
-    )

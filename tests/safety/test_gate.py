@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from crazyarena.clock import VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import BackendError, CommandError
+from crazyarena.safety.fence import Zone
 from crazyarena.safety.gate import CommandGate, Policy, Refused
 from crazyarena.safety.limits import Limits
+from crazyarena.safety.shapes import Box
 from crazyarena.types import Pose, Telemetry, VehicleState
 from tests.safety.scenes import fence
 
@@ -66,7 +68,7 @@ class Rig:
         self.where = where
         self.gate = CommandGate(
             self.sink,
-            fence(),
+            options.pop("fence", None) or fence(),
             self.clock,
             options.pop("limits", None),
             state=lambda vehicle: (
@@ -301,7 +303,7 @@ def test_plans_of_the_vehicle_get_the_time_they_need_and_end_inside():
     sent = rig.send(c.GoTo((9.0, 0.0, 1.0), 0.0, 0.1))
     assert sent.position[0] == pytest.approx(2.95, abs=0.01)
     assert 35 / 16 * 2.95 / sent.duration <= 3.0 + 0.1
-    rig.where = (2.5, 0.0, 1.0)
+    rig = Rig(where=(2.5, 0.0, 1.0))
     assert rig.send(c.GoTo((1.0, 0.0, 0.0), 0.0, 3.0, relative=True)).position[0] < 0.5
     rig.where = None
     assert "relative" in rig.refused(c.GoTo((1.0, 0.0, 0.0), 0.0, 3.0, relative=True))
@@ -323,6 +325,150 @@ def test_trajectories_are_checked_at_their_start():
     rig.where = (2.0, 0.0, 1.0)
     assert "out of the fence" in rig.refused(c.StartTrajectory(1))
     assert "not uploaded" in rig.refused(c.StartTrajectory(2))
+
+
+def test_a_trajectory_is_judged_by_the_memory_that_it_reads():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    rig.send(c.UploadTrajectory(1, 0, piece(4.0, 0.3)))
+    rig.send(c.UploadTrajectory(2, 1, piece(4.0, 0.2)))
+    rig.send(c.UploadTrajectory(3, 0, np.vstack([piece(4.0, 0.2), piece(4.0, 0.2)])))
+    for overwritten in (1, 2):
+        assert "trajectory 3 was uploaded over" in rig.refused(c.StartTrajectory(overwritten))
+    rig.send(c.UploadTrajectory(2, 1, piece(4.0, 9.0)))
+    assert "trajectory 2 was uploaded over" in rig.refused(c.StartTrajectory(3))
+    assert "out of the fence" in rig.refused(c.StartTrajectory(2, timescale=9.0))
+    # Longer before: what is read now is what was uploaded last.
+    rig.send(c.UploadTrajectory(2, 1, piece(4.0, 0.2)))
+    rig.send(c.StartTrajectory(2))
+
+
+def test_what_flies_cannot_be_overwritten():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    two = np.vstack([piece(4.0, 0.2), piece(4.0, 0.2)])
+    rig.send(c.UploadTrajectory(1, 3, two))
+    rig.send(c.StartTrajectory(1))
+    for ident, offset in ((1, 3), (1, 4), (2, 3), (2, 4), (7, 2)):
+        assert "being flown" in rig.refused(c.UploadTrajectory(ident, offset, two))
+    rig.send(c.UploadTrajectory(2, 0, two))
+    rig.send(c.UploadTrajectory(3, 5, two))
+    rig.wait(60.0)  # at its end it still holds its last piece
+    assert "being flown" in rig.refused(c.UploadTrajectory(1, 3, two))
+    rig.send(c.GoTo((0.2, 0.0, 1.0), 0.0, 3.0))
+    rig.send(c.UploadTrajectory(1, 3, two))
+
+
+def test_a_plan_for_another_group_frees_no_memory():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    rig.send(c.SetGroupMask(1))
+    rig.send(c.UploadTrajectory(1, 0, piece(4.0, 0.2)))
+    rig.send(c.StartTrajectory(1))
+    rig.send(c.GoTo((0.2, 0.0, 1.0), 0.0, 3.0, group_mask=2))
+    assert "being flown" in rig.refused(c.UploadTrajectory(2, 0, piece(4.0, 0.2)))
+    rig.send(c.GoTo((0.2, 0.0, 1.0), 0.0, 3.0, group_mask=3))
+    rig.send(c.UploadTrajectory(2, 0, piece(4.0, 0.2)))
+
+
+def test_a_trajectory_begins_near_the_vehicle():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    rig.send(c.UploadTrajectory(1, 0, piece(4.0, 0.2)))
+    assert "1.00 m from where" in rig.refused(c.StartTrajectory(1, relative=False))
+    rig.where = (0.2, 0.0, 0.1)
+    rig.send(c.StartTrajectory(1, relative=False))
+
+
+def test_trajectories_beyond_the_vehicles_numbers_are_refused():
+    rig = Rig()
+    assert "too large" in rig.refused(c.UploadTrajectory(1, 0, piece(4.0, 1e41)))
+    assert "trajectory id" in rig.refused(c.UploadTrajectory(31, 0, piece(4.0, 1.0)))
+
+
+def test_relative_goals_add_to_the_plan_and_not_to_the_vehicle():
+    rig = Rig(where=(2.0, 0.0, 1.0))
+    rig.send(c.GoTo((2.4, 0.0, 1.0), 0.0, 3.0))
+    rig.wait(3.0)  # the plan is at 2.4 now, the vehicle still at 2.0
+    sent = rig.send(c.GoTo((0.9, 0.0, 0.0), 0.0, 3.0, relative=True))
+    assert 2.4 + sent.position[0] == pytest.approx(2.95, abs=0.01)
+    rig = Rig(where=(2.0, 0.0, 1.0))
+    rig.send(full((2.3, 0.0, 1.0)))
+    # The stream has disabled the planner: it begins at the vehicle.
+    sent = rig.send(c.GoTo((0.94, 0.0, 0.0), 0.0, 3.0, relative=True))
+    assert sent.position[0] == pytest.approx(0.94)
+
+
+def test_nothing_begins_on_a_plan_that_the_vehicle_does_not_follow():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    rig.send(c.GoTo((2.0, 0.0, 1.0), 0.0, 3.0))
+    rig.wait(3.0)
+    assert "2.00 m from where" in rig.refused(c.GoTo((0.1, 0.0, 0.0), 0.0, 3.0, relative=True))
+
+
+def test_a_plan_after_a_stream_is_flown():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    rig.send(full((0.0, 0.0, 1.0)))
+    rig.send(c.GoTo((0.5, 0.0, 1.0), 0.0, 3.0))
+    assert [type(one) for one, _ in rig.sink.sent[-2:]] == [c.NotifySetpointsStop, c.GoTo]
+    assert rig.gate.stream_age(1, rig.clock.now()) is None
+    rig.send(full((0.0, 0.0, 1.0)))
+    rig.send(c.NotifySetpointsStop())
+    rig.wait(0.2)
+    # Nothing has followed yet: the vehicle still holds the last setpoint, and times out.
+    assert rig.gate.stream_age(1, rig.clock.now()) == pytest.approx(0.2)
+    rig.send(c.Land(0.0, 3.0))
+    assert type(rig.sink.sent[-2][0]) is c.NotifySetpointsStop  # the runner's own, no other
+    assert len(rig.sink.sent) == 6
+    assert rig.gate.stream_age(1, rig.clock.now()) is None
+
+
+def test_nothing_is_remembered_of_what_was_refused():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    rig.gate.take(2)
+    rig.refused(c.UploadTrajectory(1, 0, piece(4.0, 0.2)), None)
+    assert "not uploaded" in rig.refused(c.StartTrajectory(1))
+
+
+# The pillar of the scene stands at (1, 1), 0.1 m thick and with a margin of 0.1 m.
+
+
+def test_ways_lead_around_nothing_so_they_end_before_it():
+    rig = Rig(where=(0.0, 1.0, 0.5))
+    sent = rig.send(c.GoTo((2.0, 1.0, 0.5), 0.0, 5.0))
+    assert 0.7 < sent.position[0] < 0.8
+    assert "leads out" in rig.events[-1].detail
+    assert Rig(where=(0.0, 1.0, 1.5)).send(c.GoTo((2.0, 1.0, 1.5), 0.0, 5.0)).position[0] == 2.0
+    refusing = Rig(where=(0.0, 1.0, 0.5), policy=Policy.REFUSE)
+    assert "leads out" in refusing.refused(c.GoTo((2.0, 1.0, 0.5), 0.0, 5.0))
+    rig = Rig(where=(0.79, 1.0, 0.5))
+    assert "from the start" in rig.refused(c.GoTo((2.0, 1.0, 0.5), 0.0, 5.0))
+
+
+def test_streamed_places_are_not_beyond_a_zone():
+    rig = Rig(where=(0.75, 1.0, 0.5))
+    assert rig.send(c.Position((1.3, 1.0, 0.5))).position[0] < 0.81
+    assert rig.send(full((1.3, 1.0, 0.5), (1.0, 0.0, 0.0))).position[0] < 0.81
+    rig = Rig(where=(0.75, 1.0, 1.5))
+    assert rig.send(c.Position((1.3, 1.0, 1.5))).position[0] == 1.3
+
+
+def test_a_way_that_begins_too_fast_is_not_begun():
+    rig = Rig(where=(0.55, 1.0, 0.5), velocity=(2.5, 0.0, 0.0))
+    rig.send(full((0.55, 1.0, 0.5)))
+    assert "from the start" in rig.refused(c.GoTo((0.5, 1.0, 0.5), 0.0, 5.0))
+
+
+def test_a_take_off_is_upright_or_refused():
+    beside = fence(zones=(Zone("roof", Box((0.0, -1.0, 0.8), (1.0, 1.0, 1.0)), 0.1),))
+    rig = Rig(where=(0.5, 0.0, 0.03), fence=beside)
+    assert 0.6 < rig.send(c.Takeoff(1.5, 3.0)).height < 0.7
+    assert Rig(where=(-0.5, 0.0, 0.03), fence=beside).send(c.Takeoff(1.5, 3.0)).height == 1.5
+    low = fence(zones=(Zone("roof", Box((0.0, -1.0, 0.2), (1.0, 1.0, 1.0)), 0.1),))
+    assert "no room above" in Rig(where=(0.5, 0.0, 0.09), fence=low).refused(c.Takeoff(1.5, 3.0))
+
+
+def test_a_landing_on_a_zone_is_refused():
+    rig = Rig(where=(1.0, 1.0, 1.5))
+    assert "no room below" in rig.refused(c.Land(0.0, 3.0))
+    rig = Rig(where=(0.5, 1.0, 1.5))
+    rig.send(c.Land(0.0, 3.0))
 
 
 BOOT = {"ctrlMel.kp_xy": 0.4, "ctrlMel.ki_m_xy": 0.0, "posCtlPid.thrustBase": 36000.0}
