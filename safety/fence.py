@@ -118,6 +118,11 @@ class Fence:
         """Box around everything the fence allows."""
         return self.box.bounds
 
+    @property
+    def is_convex(self) -> bool:
+        """Whether the straight way between two places inside surely lies inside."""
+        return self.shape is None and not self.zones
+
     def clearance(self, x: float, y: float, z: float) -> float:
         """Distance left to the hard limit, m; negative outside. Keep-out zones do not count."""
         if self._bottom <= z < self.floor:

@@ -9,6 +9,9 @@ from dataclasses import dataclass, fields
 from crazyarena.errors import InputError
 
 PID_BRAKING = 3.5
+# m/s2 by value of ``stabilizer.controller``: 0 chooses the PID, 2 is the Mellinger controller.
+# How others brake has not been measured.
+BRAKING = {0: PID_BRAKING, 1: PID_BRAKING, 2: 6.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +55,8 @@ class Limits:
         firmware's position loop tips the vehicle over.
     setpoint_tilt: rad, of attitude setpoints.
     allow_attitude: attitude setpoints are let through at all; no fence can clamp them.
+    tune_in_flight: gains, masses and limits of the controllers may be written in flight, within
+        a range around their boot values; else they are closed.
     command_rate, command_burst: commands per second, and how many at once.
     link_loss_margin: m beyond the hard fence up to which a vehicle may come down that hears
         nothing more after a setpoint; setpoints that would carry it further are held back. inf
@@ -109,6 +114,7 @@ class Limits:
     setpoint_lead: float = 0.6
     setpoint_tilt: float = 0.6
     allow_attitude: bool = False
+    tune_in_flight: bool = False
     command_rate: float = 200.0
     command_burst: float = 60.0
     link_loss_margin: float = 0.05
@@ -117,7 +123,7 @@ class Limits:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name == "allow_attitude":
+            if isinstance(value, bool):
                 continue
             endless = field.name == "link_loss_margin" and value == math.inf
             if not (endless or (math.isfinite(value) and value > 0.0)):

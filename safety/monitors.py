@@ -13,6 +13,7 @@ from enum import Enum
 
 from crazyarena.safety.events import Action
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.observation import Observation, Point
 
@@ -33,11 +34,14 @@ class When(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """From ``limit`` on, lasting ``time`` s, ``action`` follows."""
+    """From ``limit`` on, lasting ``time`` s, ``action`` follows.
 
-    limit: float
-    time: float
+    Both are numbers, or names of fields of :class:`Limits`.
+    """
+
+    limit: float | str
     action: Action
+    time: float | str = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +50,14 @@ class Rule:
 
     Attributes
     ----------
-    stages: of the limits in force; each is watched by itself.
+    stages: each is watched by itself.
     below: small values are the bad ones.
     """
 
     name: str
     when: When
     measure: Measure
-    stages: Callable[[Limits], tuple[Stage, ...]]
+    stages: tuple[Stage, ...]
     below: bool = False
 
 
@@ -65,6 +69,20 @@ class Finding:
     action: Action
     measured: float
     limit: float
+
+
+def _number(value: float | str, limits: Limits) -> float:
+    return float(getattr(limits, value)) if isinstance(value, str) else value
+
+
+def _told(name: str) -> Measure:
+    """What somebody has told, as it is: a field of the observation."""
+
+    def measure(obs: Observation, fence: Fence, limits: Limits) -> float | None:
+        value = getattr(obs, name)
+        return None if value is None else float(value)
+
+    return measure
 
 
 def stopping_path(obs: Observation, limits: Limits) -> tuple[Point, Point]:
@@ -142,34 +160,10 @@ def _tilt(obs: Observation, fence: Fence, limits: Limits) -> float | None:
     return math.acos(min(max(upright, -1.0), 1.0)) if math.isfinite(upright) else math.nan
 
 
-def _pose_stale(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return obs.pose_age
-
-
-def _pose_jump(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return obs.doubted
-
-
-def _body_swap(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return float(obs.swapped)
-
-
 def _wrong_body(obs: Observation, fence: Fence, limits: Limits) -> float | None:
     if obs.onboard is None or obs.position is None:
         return None
     return math.dist(obs.onboard, obs.position)
-
-
-def _link_lost(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return obs.link_age
-
-
-def _link_quality(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return obs.link_quality
-
-
-def _battery(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return obs.battery
 
 
 def _supervisor(obs: Observation, fence: Fence, limits: Limits) -> float | None:
@@ -189,32 +183,8 @@ def _following(obs: Observation, fence: Fence, limits: Limits) -> float | None:
     return math.dist(obs.setpoint, position)
 
 
-def _controller(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return obs.controller_age
-
-
-def _scheduler(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return obs.lateness
-
-
 def _clock(obs: Observation, fence: Fence, limits: Limits) -> float | None:
     return None if obs.clock_error is None else abs(obs.clock_error)
-
-
-def _person_near(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return obs.person_distance
-
-
-def _person_inside(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return obs.person_depth
-
-
-def _strangers(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return float(obs.strangers)
-
-
-def _dead_man(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return obs.dead_man_age
 
 
 WARN, HOLD, LAND, CUT = Action.WARN, Action.HOLD, Action.LAND, Action.CUT
@@ -225,150 +195,147 @@ RULES: tuple[Rule, ...] = (
         "fence",
         When.AIRBORNE,
         _fence,
-        lambda n: (Stage(0.0, 0.0, HOLD), Stage(n.outer_margin, 0.0, CUT)),
+        (Stage(0.0, HOLD), Stage("outer_margin", CUT)),
     ),
     Rule(
         "fence_predicted",
         When.AIRBORNE,
         _fence_predicted,
-        lambda n: (Stage(n.predicted_margin, 0.0, HOLD),),
+        (Stage("predicted_margin", HOLD),),
     ),
-    Rule("keep_out", When.AIRBORNE, _keep_out, lambda n: (Stage(0.0, 0.0, HOLD),)),
+    Rule("keep_out", When.AIRBORNE, _keep_out, (Stage(0.0, HOLD),)),
     Rule(
         "keep_out_predicted",
         When.AIRBORNE,
         _keep_out_predicted,
-        lambda n: (Stage(0.0, 0.0, HOLD),),
+        (Stage(0.0, HOLD),),
     ),
-    Rule("people_zone", When.AIRBORNE, _people_zone, lambda n: (Stage(0.0, 0.0, CUT),)),
-    Rule("speed", When.AIRBORNE, _speed, lambda n: (Stage(n.max_speed, n.speed_time, HOLD),)),
-    Rule("tilt", When.AIRBORNE, _tilt, lambda n: (Stage(n.max_tilt, n.tilt_time, HOLD),)),
-    Rule("tumble", When.AIRBORNE, _tilt, lambda n: (Stage(n.tumble_tilt, n.tumble_time, CUT),)),
+    Rule("people_zone", When.AIRBORNE, _people_zone, (Stage(0.0, CUT),)),
+    Rule("speed", When.AIRBORNE, _speed, (Stage("max_speed", HOLD, "speed_time"),)),
+    Rule("tilt", When.AIRBORNE, _tilt, (Stage("max_tilt", HOLD, "tilt_time"),)),
+    Rule("tumble", When.AIRBORNE, _tilt, (Stage("tumble_tilt", CUT, "tumble_time"),)),
     Rule(
         "pose_stale",
         When.ACTIVE,
-        _pose_stale,
-        lambda n: (
-            Stage(n.pose_warn, 0.0, WARN),
-            Stage(n.pose_hold, 0.0, HOLD),
-            Stage(n.pose_land, 0.0, LAND),
-            Stage(n.pose_cut, 0.0, CUT),
+        _told("pose_age"),
+        (
+            Stage("pose_warn", WARN),
+            Stage("pose_hold", HOLD),
+            Stage("pose_land", LAND),
+            Stage("pose_cut", CUT),
         ),
     ),
     Rule(
         "pose_jump",
         When.ACTIVE,
-        _pose_jump,
-        lambda n: (Stage(0.0, 0.0, WARN), Stage(n.bad_pose_time, 0.0, HOLD)),
+        _told("doubted"),
+        (Stage(0.0, WARN), Stage("bad_pose_time", HOLD)),
     ),
-    Rule("body_swap", When.ACTIVE, _body_swap, lambda n: (Stage(0.5, 0.0, HOLD),)),
+    Rule("body_swap", When.ACTIVE, _told("swapped"), (Stage(0.5, HOLD),)),
     Rule(
         "wrong_body",
         When.AIRBORNE,
         _wrong_body,
-        lambda n: (Stage(n.disagreement, n.disagreement_time, LAND),),
+        (Stage("disagreement", LAND, "disagreement_time"),),
     ),
     Rule(
         "link_lost",
         When.ACTIVE,
-        _link_lost,
-        lambda n: (
-            Stage(n.link_warn, 0.0, WARN),
-            Stage(n.link_hold, 0.0, HOLD),
-            Stage(n.link_cut, 0.0, CUT),
+        _told("link_age"),
+        (
+            Stage("link_warn", WARN),
+            Stage("link_hold", HOLD),
+            Stage("link_cut", CUT),
         ),
     ),
     Rule(
         "link_quality",
         When.ACTIVE,
-        _link_quality,
-        lambda n: (
-            Stage(n.quality_warn, n.quality_time, WARN),
-            Stage(n.quality_land, n.quality_time, LAND),
+        _told("link_quality"),
+        (
+            Stage("quality_warn", WARN, "quality_time"),
+            Stage("quality_land", LAND, "quality_time"),
         ),
         below=True,
     ),
     Rule(
         "battery",
         When.ACTIVE,
-        _battery,
-        lambda n: (
-            Stage(n.battery_warn, n.battery_time, WARN),
-            Stage(n.battery_land, n.battery_time, LAND),
+        _told("battery"),
+        (
+            Stage("battery_warn", WARN, "battery_time"),
+            Stage("battery_land", LAND, "battery_time"),
         ),
         below=True,
     ),
-    Rule("supervisor", When.ACTIVE, _supervisor, lambda n: (Stage(0.5, 0.0, CUT),)),
-    Rule("may_not_fly", When.AIRBORNE, _may_not_fly, lambda n: (Stage(0.5, 0.2, CUT),)),
+    Rule("supervisor", When.ACTIVE, _supervisor, (Stage(0.5, CUT),)),
+    Rule("may_not_fly", When.AIRBORNE, _may_not_fly, (Stage(0.5, CUT, 0.2),)),
     Rule(
         "following",
         When.CONTESTANT,
         _following,
-        lambda n: (
-            Stage(n.following, n.following_time, HOLD),
-            Stage(n.following_land, n.following_time, LAND),
+        (
+            Stage("following", HOLD, "following_time"),
+            Stage("following_land", LAND, "following_time"),
         ),
     ),
     Rule(
         "lost_control",
         When.OVERRIDE,
         _following,
-        lambda n: (Stage(n.lost_control, n.lost_control_time, CUT),),
+        (Stage("lost_control", CUT, "lost_control_time"),),
     ),
     Rule(
         "controller_silent",
         When.CONTESTANT,
-        _controller,
-        lambda n: (Stage(n.controller_warn, 0.0, WARN), Stage(n.controller_hold, 0.0, HOLD)),
+        _told("controller_age"),
+        (Stage("controller_warn", WARN), Stage("controller_hold", HOLD)),
     ),
     Rule(
         "scheduler_late",
         When.CONTESTANT,
-        _scheduler,
-        lambda n: (Stage(n.late_warn, 0.0, WARN), Stage(n.late_hold, 0.0, HOLD)),
+        _told("lateness"),
+        (Stage("late_warn", WARN), Stage("late_hold", HOLD)),
     ),
-    Rule("clock_jump", When.ACTIVE, _clock, lambda n: (Stage(n.clock_step, 0.0, LAND),)),
+    Rule("clock_jump", When.ACTIVE, _clock, (Stage("clock_step", LAND),)),
     Rule(
         "person_near",
         When.ACTIVE,
-        _person_near,
-        lambda n: (Stage(n.people_distance, 0.0, CUT),),
+        _told("person_distance"),
+        (Stage("people_distance", CUT),),
         below=True,
     ),
-    Rule("person_inside", When.ACTIVE, _person_inside, lambda n: (Stage(0.0, 0.0, LAND),)),
-    Rule("strangers", When.ACTIVE, _strangers, lambda n: (Stage(0.5, 0.0, WARN),)),
-    Rule("dead_man", When.ACTIVE, _dead_man, lambda n: (Stage(n.dead_man, 0.0, LAND),)),
+    Rule("person_inside", When.ACTIVE, _told("person_depth"), (Stage(0.0, LAND),)),
+    Rule("strangers", When.ACTIVE, _told("strangers"), (Stage(0.5, WARN),)),
+    Rule("dead_man", When.ACTIVE, _told("dead_man_age"), (Stage("dead_man", LAND),)),
 )
 
 
 class Monitor:
     """One rule with its memory: since when each stage is broken."""
 
-    __slots__ = ("_fence", "_limits", "_since", "_stages", "rule")
+    __slots__ = ("_fence", "_limits", "_stages", "rule")
 
     def __init__(self, rule: Rule, fence: Fence, limits: Limits) -> None:
         self.rule = rule
         self._fence = fence
         self._limits = limits
-        self._stages = rule.stages(limits)
-        self._since: list[float | None] = [None] * len(self._stages)
+        self._stages = tuple(
+            (_number(stage.limit, limits), _number(stage.time, limits), stage.action, Lasting())
+            for stage in rule.stages
+        )
 
     def update(self, obs: Observation, overriding: bool) -> Finding | None:
         """The strongest stage that is broken and has been for long enough, or None."""
         measured = self._measure(obs, overriding)
         worst: Finding | None = None
-        for i, stage in enumerate(self._stages):
-            if measured is None or (
-                measured >= stage.limit if self.rule.below else measured <= stage.limit
-            ):
-                self._since[i] = None
+        for limit, time, action, lasting in self._stages:
+            good = measured is None or (measured >= limit if self.rule.below else measured <= limit)
+            held = lasting.update(not good, obs.time)
+            if held is None or held < time - 1e-9 or measured is None:
                 continue
-            since = self._since[i]
-            if since is None:
-                since = self._since[i] = obs.time
-            lasts = obs.time - since >= stage.time - 1e-9
-            if lasts and (worst is None or stage.action > worst.action):
-                worst = Finding(self.rule.name, stage.action, measured, stage.limit)
+            if worst is None or action > worst.action:
+                worst = Finding(self.rule.name, action, measured, limit)
         return worst
 
     def _measure(self, obs: Observation, overriding: bool) -> float | None:

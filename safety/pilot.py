@@ -14,6 +14,7 @@ from crazyarena.crazyswarm_compat.commands import Command, CutMotors, Emergency,
 from crazyarena.errors import InputError
 from crazyarena.safety.events import Action
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.link_loss import LinkLoss
 from crazyarena.safety.observation import Observation, Point, as_point
@@ -50,7 +51,7 @@ class SafePilot:
         self._descending = False
         self._moved = -math.inf
         self._sent = -math.inf
-        self._touched: float | None = None
+        self._touched = Lasting()
         self._stopping: float | None = None
         self._emergencies = 0
         self._velocity: Point = (0.0, 0.0, 0.0)
@@ -143,12 +144,9 @@ class SafePilot:
         low = position[2] <= self.ground + _TOUCHDOWN
         # A reference this far below a vehicle that no longer moves: it stands on something.
         low = low or (self._descending and self._place[2] <= position[2] - 0.5)
-        if not (low and action is Action.LAND and abs(obs.velocity[2]) < _STILL):
-            self._touched = None
-            return False
-        if self._touched is None:
-            self._touched = obs.time
-        return obs.time - self._touched >= _REST_TIME
+        down = low and action is Action.LAND and abs(obs.velocity[2]) < _STILL
+        held = self._touched.update(down, obs.time)
+        return held is not None and held >= _REST_TIME
 
     def _fly(self, action: Action, obs: Observation) -> FullState:
         elapsed = obs.time - self._begun

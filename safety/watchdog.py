@@ -28,6 +28,7 @@ from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.gate import CommandGate
 from crazyarena.safety.guard import Guard
+from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import Finding
 from crazyarena.safety.observation import Observation, Point, as_point
@@ -53,7 +54,7 @@ class _Watched:
     guard: Guard
     ground: float
     airborne: bool = False
-    still_since: float | None = None
+    still: Lasting = field(default_factory=Lasting)
     accepted_once: bool = False
     doubted_since: float | None = None
     swapped: bool = False
@@ -250,7 +251,7 @@ class Watchdog:
     def settling(self, vehicle: int) -> bool:
         """Whether it is low and still, but not for long enough to count as down."""
         watched = self._by_vehicle[vehicle]
-        return watched.airborne and watched.still_since is not None
+        return watched.airborne and watched.still.begun
 
     def over(self, vehicle: int) -> bool:
         """The watchdog has brought this vehicle to a safe end."""
@@ -393,12 +394,10 @@ class Watchdog:
             return True  # blind: it may be
         moving = math.hypot(*obs.velocity)
         low = obs.position[2] <= watched.ground + _OFF_GROUND
-        if not low or not moving <= 0.2:
-            watched.still_since = None
+        held = watched.still.update(low and moving <= 0.2, obs.time)
+        if held is None:
             return watched.airborne or not low
-        if watched.still_since is None:
-            watched.still_since = obs.time
-        if obs.time - watched.still_since < _DOWN_TIME:
+        if held < _DOWN_TIME:
             return watched.airborne
         self._gate.stands(watched.vehicle)
         return False

@@ -15,7 +15,7 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -27,7 +27,7 @@ from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.config import FleetConfig
 from crazyarena.crazyswarm_compat.guard import FlightEnded
 from crazyarena.crazyswarm_compat.options import warn
-from crazyarena.errors import BackendError, CommandError, InputError
+from crazyarena.errors import BackendError, InputError
 from crazyarena.levels import load_arena
 from crazyarena.mocap.camera_model import CameraModel
 from crazyarena.mocap.estimator import BodyEstimate, FrameResult, PoseEstimator
@@ -39,7 +39,7 @@ from crazyarena.safety.estop_sources import SocketSource
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.gate import CommandGate, Policy, Refused
-from crazyarena.safety.limits import PID_BRAKING, Limits
+from crazyarena.safety.limits import BRAKING, PID_BRAKING, Limits
 from crazyarena.safety.watchdog import Watchdog
 from crazyarena.types import Pose, PoseFrame, Telemetry, VehicleState
 
@@ -51,7 +51,7 @@ _LOW = 0.15  # m; below, and slower than this (m/s), a vehicle stands
 _STILL = 0.1
 _QUIET = 1.0  # s until the same warning about a vehicle is worth repeating
 _CONTROLLER = "stabilizer.controller"
-_PID = 1
+_SWITCHES = ("allow_attitude", "tune_in_flight")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ class GuardOptions:
                     policy = Policy(value)
                 elif key == "seed":
                     seed = int(value)
-                elif key == "allow_attitude":
+                elif key in _SWITCHES:
                     limits[key] = {"true": True, "false": False}[value]
                 elif key in names:
                     limits[key] = float(value)
@@ -93,7 +93,7 @@ class GuardOptions:
                 wanted = {
                     "policy": "clamp or refuse",
                     "seed": "a whole number",
-                    "allow_attitude": "true or false",
+                    **dict.fromkeys(_SWITCHES, "true or false"),
                 }.get(key, "a number")
                 raise InputError(f"--guard: {key}: found {value!r}; expected {wanted}") from None
         return cls(arena, policy, seed, limits)
@@ -170,15 +170,16 @@ class GuardedFleet:
 
     def _limits(self, given: Mapping[str, Any]) -> Limits:
         limits = replace(Limits(), **given)
-        if "braking" not in given and any(map(self._flies_with_pid, self._link.vehicles)):
-            limits = replace(limits, braking=PID_BRAKING)
+        if "braking" not in given:
+            gentlest = min(map(self._braking, self._link.vehicles), default=limits.braking)
+            limits = replace(limits, braking=min(gentlest, limits.braking))
         return limits
 
-    def _flies_with_pid(self, vehicle: int) -> bool:
-        try:
-            return self._link.get_param(vehicle, _CONTROLLER) == _PID
-        except BackendError:
-            return True  # the one that brakes more gently
+    def _braking(self, vehicle: int) -> float:
+        """m/s2, of the controller that the vehicle has; the gentlest if nobody knows it."""
+        with suppress(BackendError):
+            return BRAKING.get(int(self._link.get_param(vehicle, _CONTROLLER)), PID_BRAKING)
+        return PID_BRAKING
 
     # What watches
 
@@ -274,7 +275,6 @@ class GuardedFleet:
         self._pass_interrupt_on()
         targets = self._addressed(command, vehicle)
         try:
-            self._refuse_gentler_controller(command)
             # Whoever does not belong to the group must not keep the others from flying.
             everybody = vehicle is None and len(targets) == len(self.vehicles)
             for target in [None] if everybody else targets:
@@ -297,18 +297,6 @@ class GuardedFleet:
         if not isinstance(mask, int) or mask == 0:
             return everybody
         return [v for v in everybody if self._masks.get(v, mask) & mask]
-
-    def _refuse_gentler_controller(self, command: c.Command) -> None:
-        if (
-            isinstance(command, c.SetParam)
-            and command.name == _CONTROLLER
-            and command.value == _PID
-            and self.gate.limits.braking > PID_BRAKING
-        ):
-            raise CommandError(
-                f"setParam: {_CONTROLLER} 1 (PID) brakes more gently than the guard was told; set "
-                f"it in the vehicle list, or add braking={PID_BRAKING} to --guard"
-            )
 
     def send_external_poses(self, poses: Mapping[int, Pose]) -> None:
         self.gate.runner.send_external_poses(poses)

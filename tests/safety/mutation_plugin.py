@@ -10,7 +10,8 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from crazyarena.safety import gate, guard
+from crazyarena.safety import guard
+from crazyarena.safety.admission.fitters import FITTERS
 from crazyarena.safety.link_loss import LinkLoss
 from crazyarena.safety.pilot import SafePilot
 
@@ -20,7 +21,7 @@ def rules() -> list[str]:
 
 
 def checks() -> list[str]:
-    return [command.__name__ for command in gate._FITTERS]
+    return [command.__name__ for command in FITTERS]
 
 
 def pytest_configure(config: Any) -> None:
@@ -30,9 +31,9 @@ def pytest_configure(config: Any) -> None:
         guard.RULES = tuple(rule for rule in guard.RULES if rule.name != name)
     elif kind == "gate":
         assert name in checks()
-        for command in list(gate._FITTERS):
+        for command in list(FITTERS):
             if command.__name__ == name:
-                del gate._FITTERS[command]
+                del FITTERS[command]
     elif kind == "link_loss":
         LinkLoss.on = False  # type: ignore[method-assign,assignment]
     elif kind == "pilot":

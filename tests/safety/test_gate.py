@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 
 from crazyarena.clock import VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.errors import CommandError
+from crazyarena.errors import BackendError, CommandError
+from crazyarena.safety.fence import Zone
 from crazyarena.safety.gate import CommandGate, Policy, Refused
 from crazyarena.safety.limits import Limits
+from crazyarena.safety.shapes import Box
 from crazyarena.types import Pose, Telemetry, VehicleState
 from tests.safety.scenes import fence
 
@@ -31,6 +33,7 @@ class Sink:
         self.sent: list[tuple[c.Command, int | None]] = []
         self.poses: list[dict[int, Pose]] = []
         self.state: VehicleState | None = None
+        self.params: dict[str, float] = {}
 
     def send(self, command: c.Command, vehicle: int | None = None) -> None:
         self.sent.append((command, vehicle))
@@ -42,7 +45,9 @@ class Sink:
         return Telemetry(0.0, state=self.state)
 
     def get_param(self, vehicle: int, name: str) -> float:
-        return 0.0
+        if name not in self.params:
+            raise BackendError(f"no parameter {name}")
+        return self.params[name]
 
     def close(self) -> None: ...
 
@@ -63,7 +68,7 @@ class Rig:
         self.where = where
         self.gate = CommandGate(
             self.sink,
-            fence(),
+            options.pop("fence", None) or fence(),
             self.clock,
             options.pop("limits", None),
             state=lambda vehicle: (
@@ -298,7 +303,7 @@ def test_plans_of_the_vehicle_get_the_time_they_need_and_end_inside():
     sent = rig.send(c.GoTo((9.0, 0.0, 1.0), 0.0, 0.1))
     assert sent.position[0] == pytest.approx(2.95, abs=0.01)
     assert 35 / 16 * 2.95 / sent.duration <= 3.0 + 0.1
-    rig.where = (2.5, 0.0, 1.0)
+    rig = Rig(where=(2.5, 0.0, 1.0))
     assert rig.send(c.GoTo((1.0, 0.0, 0.0), 0.0, 3.0, relative=True)).position[0] < 0.5
     rig.where = None
     assert "relative" in rig.refused(c.GoTo((1.0, 0.0, 0.0), 0.0, 3.0, relative=True))
@@ -322,14 +327,245 @@ def test_trajectories_are_checked_at_their_start():
     assert "not uploaded" in rig.refused(c.StartTrajectory(2))
 
 
+def test_a_trajectory_is_judged_by_the_memory_that_it_reads():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    rig.send(c.UploadTrajectory(1, 0, piece(4.0, 0.3)))
+    rig.send(c.UploadTrajectory(2, 1, piece(4.0, 0.2)))
+    rig.send(c.UploadTrajectory(3, 0, np.vstack([piece(4.0, 0.2), piece(4.0, 0.2)])))
+    for overwritten in (1, 2):
+        assert "trajectory 3 was uploaded over" in rig.refused(c.StartTrajectory(overwritten))
+    rig.send(c.UploadTrajectory(2, 1, piece(4.0, 9.0)))
+    assert "trajectory 2 was uploaded over" in rig.refused(c.StartTrajectory(3))
+    assert "out of the fence" in rig.refused(c.StartTrajectory(2, timescale=9.0))
+    # Longer before: what is read now is what was uploaded last.
+    rig.send(c.UploadTrajectory(2, 1, piece(4.0, 0.2)))
+    rig.send(c.StartTrajectory(2))
+
+
+def test_what_flies_cannot_be_overwritten():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    two = np.vstack([piece(4.0, 0.2), piece(4.0, 0.2)])
+    rig.send(c.UploadTrajectory(1, 3, two))
+    rig.send(c.StartTrajectory(1))
+    for ident, offset in ((1, 3), (1, 4), (2, 3), (2, 4), (7, 2)):
+        assert "being flown" in rig.refused(c.UploadTrajectory(ident, offset, two))
+    rig.send(c.UploadTrajectory(2, 0, two))
+    rig.send(c.UploadTrajectory(3, 5, two))
+    rig.wait(60.0)  # at its end it still holds its last piece
+    assert "being flown" in rig.refused(c.UploadTrajectory(1, 3, two))
+    rig.send(c.GoTo((0.2, 0.0, 1.0), 0.0, 3.0))
+    rig.send(c.UploadTrajectory(1, 3, two))
+
+
+def test_a_plan_for_another_group_frees_no_memory():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    rig.send(c.SetGroupMask(1))
+    rig.send(c.UploadTrajectory(1, 0, piece(4.0, 0.2)))
+    rig.send(c.StartTrajectory(1))
+    rig.send(c.GoTo((0.2, 0.0, 1.0), 0.0, 3.0, group_mask=2))
+    assert "being flown" in rig.refused(c.UploadTrajectory(2, 0, piece(4.0, 0.2)))
+    rig.send(c.GoTo((0.2, 0.0, 1.0), 0.0, 3.0, group_mask=3))
+    rig.send(c.UploadTrajectory(2, 0, piece(4.0, 0.2)))
+
+
+def test_a_trajectory_begins_near_the_vehicle():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    rig.send(c.UploadTrajectory(1, 0, piece(4.0, 0.2)))
+    assert "1.00 m from where" in rig.refused(c.StartTrajectory(1, relative=False))
+    rig.where = (0.2, 0.0, 0.1)
+    rig.send(c.StartTrajectory(1, relative=False))
+
+
+def test_trajectories_beyond_the_vehicles_numbers_are_refused():
+    rig = Rig()
+    assert "too large" in rig.refused(c.UploadTrajectory(1, 0, piece(4.0, 1e41)))
+    assert "trajectory id" in rig.refused(c.UploadTrajectory(31, 0, piece(4.0, 1.0)))
+
+
+def test_relative_goals_add_to_the_plan_and_not_to_the_vehicle():
+    rig = Rig(where=(2.0, 0.0, 1.0))
+    rig.send(c.GoTo((2.4, 0.0, 1.0), 0.0, 3.0))
+    rig.wait(3.0)  # the plan is at 2.4 now, the vehicle still at 2.0
+    sent = rig.send(c.GoTo((0.9, 0.0, 0.0), 0.0, 3.0, relative=True))
+    assert 2.4 + sent.position[0] == pytest.approx(2.95, abs=0.01)
+    rig = Rig(where=(2.0, 0.0, 1.0))
+    rig.send(full((2.3, 0.0, 1.0)))
+    # The stream has disabled the planner: it begins at the vehicle.
+    sent = rig.send(c.GoTo((0.94, 0.0, 0.0), 0.0, 3.0, relative=True))
+    assert sent.position[0] == pytest.approx(0.94)
+
+
+def test_nothing_begins_on_a_plan_that_the_vehicle_does_not_follow():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    rig.send(c.GoTo((2.0, 0.0, 1.0), 0.0, 3.0))
+    rig.wait(3.0)
+    assert "2.00 m from where" in rig.refused(c.GoTo((0.1, 0.0, 0.0), 0.0, 3.0, relative=True))
+
+
+def test_a_plan_after_a_stream_is_flown():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    rig.send(full((0.0, 0.0, 1.0)))
+    rig.send(c.GoTo((0.5, 0.0, 1.0), 0.0, 3.0))
+    assert [type(one) for one, _ in rig.sink.sent[-2:]] == [c.NotifySetpointsStop, c.GoTo]
+    assert rig.gate.stream_age(1, rig.clock.now()) is None
+    rig.send(full((0.0, 0.0, 1.0)))
+    rig.send(c.NotifySetpointsStop())
+    rig.wait(0.2)
+    # Nothing has followed yet: the vehicle still holds the last setpoint, and times out.
+    assert rig.gate.stream_age(1, rig.clock.now()) == pytest.approx(0.2)
+    rig.send(c.Land(0.0, 3.0))
+    assert type(rig.sink.sent[-2][0]) is c.NotifySetpointsStop  # the runner's own, no other
+    assert len(rig.sink.sent) == 6
+    assert rig.gate.stream_age(1, rig.clock.now()) is None
+
+
+def test_nothing_is_remembered_of_what_was_refused():
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    rig.gate.take(2)
+    rig.refused(c.UploadTrajectory(1, 0, piece(4.0, 0.2)), None)
+    assert "not uploaded" in rig.refused(c.StartTrajectory(1))
+
+
+# The pillar of the scene stands at (1, 1), 0.1 m thick and with a margin of 0.1 m.
+
+
+def test_ways_lead_around_nothing_so_they_end_before_it():
+    rig = Rig(where=(0.0, 1.0, 0.5))
+    sent = rig.send(c.GoTo((2.0, 1.0, 0.5), 0.0, 5.0))
+    assert 0.7 < sent.position[0] < 0.8
+    assert "leads out" in rig.events[-1].detail
+    assert Rig(where=(0.0, 1.0, 1.5)).send(c.GoTo((2.0, 1.0, 1.5), 0.0, 5.0)).position[0] == 2.0
+    refusing = Rig(where=(0.0, 1.0, 0.5), policy=Policy.REFUSE)
+    assert "leads out" in refusing.refused(c.GoTo((2.0, 1.0, 0.5), 0.0, 5.0))
+    rig = Rig(where=(0.79, 1.0, 0.5))
+    assert "from the start" in rig.refused(c.GoTo((2.0, 1.0, 0.5), 0.0, 5.0))
+
+
+def test_streamed_places_are_not_beyond_a_zone():
+    rig = Rig(where=(0.75, 1.0, 0.5))
+    assert rig.send(c.Position((1.3, 1.0, 0.5))).position[0] < 0.81
+    assert rig.send(full((1.3, 1.0, 0.5), (1.0, 0.0, 0.0))).position[0] < 0.81
+    rig = Rig(where=(0.75, 1.0, 1.5))
+    assert rig.send(c.Position((1.3, 1.0, 1.5))).position[0] == 1.3
+
+
+def test_a_way_that_begins_too_fast_is_not_begun():
+    rig = Rig(where=(0.55, 1.0, 0.5), velocity=(2.5, 0.0, 0.0))
+    rig.send(full((0.55, 1.0, 0.5)))
+    assert "from the start" in rig.refused(c.GoTo((0.5, 1.0, 0.5), 0.0, 5.0))
+
+
+def test_a_take_off_is_upright_or_refused():
+    beside = fence(zones=(Zone("roof", Box((0.0, -1.0, 0.8), (1.0, 1.0, 1.0)), 0.1),))
+    rig = Rig(where=(0.5, 0.0, 0.03), fence=beside)
+    assert 0.6 < rig.send(c.Takeoff(1.5, 3.0)).height < 0.7
+    assert Rig(where=(-0.5, 0.0, 0.03), fence=beside).send(c.Takeoff(1.5, 3.0)).height == 1.5
+    low = fence(zones=(Zone("roof", Box((0.0, -1.0, 0.2), (1.0, 1.0, 1.0)), 0.1),))
+    assert "no room above" in Rig(where=(0.5, 0.0, 0.09), fence=low).refused(c.Takeoff(1.5, 3.0))
+
+
+def test_a_landing_on_a_zone_is_refused():
+    rig = Rig(where=(1.0, 1.0, 1.5))
+    assert "no room below" in rig.refused(c.Land(0.0, 3.0))
+    rig = Rig(where=(0.5, 1.0, 1.5))
+    rig.send(c.Land(0.0, 3.0))
+
+
+BOOT = {"ctrlMel.kp_xy": 0.4, "ctrlMel.ki_m_xy": 0.0, "posCtlPid.thrustBase": 36000.0}
+
+
 def test_parameters_that_blind_or_stop_are_closed_in_flight():
     rig = Rig()
     rig.send(c.SetParam("stabilizer.controller", 2))
-    rig.refused(c.SetParam("motorPowerSet.enable", 1))
+    for name in ("motorPowerSet.enable", "supervisor.tmblChckEn", "flightmode.stabModeRoll"):
+        rig.refused(c.SetParam(name, 1))
     rig.send(full((0, 0, 1)))
-    for name in ("stabilizer.controller", "kalman.resetEstimation", "supervisor.landedTimeout"):
+    for name in ("stabilizer.controller", "kalman.resetEstimation", "stabilizer.stop"):
         assert "flight" in rig.refused(c.SetParam(name, 1))
     rig.send(c.SetParam("ring.effect", 7))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "ctrlMel/kp_xy",
+        "ctrlMel.mass",
+        "posCtlPid.xKp",
+        "velCtlPid.vxKp",
+        "pid_attitude.roll_kp",
+        "pid_rate/roll_kp",
+        "hlCommander.vland",
+        "locSrv.extPosStdDev",
+        "kalman.pNAcc_z",
+        "colAv.bboxMinX",
+        "somebodys.own",
+    ],
+)
+def test_what_shapes_the_flight_is_closed_in_flight(name):
+    rig = Rig(limits=Limits())
+    rig.sink.params = dict.fromkeys((name, name.replace("/", ".")), 1.0)
+    rig.send(c.SetParam(name, 1.0))
+    rig.send(full((0, 0, 1)))
+    assert "cannot be written in flight" in rig.refused(c.SetParam(name, 1.0))
+
+
+@pytest.mark.parametrize("in_flight", [False, True])
+def test_gains_stay_in_a_range_around_what_they_were(in_flight):
+    rig = Rig(limits=Limits(tune_in_flight=True))
+    rig.sink.params = dict(BOOT)
+    if in_flight:
+        rig.send(full((0, 0, 1)))
+    for asked, told in ((-4.0, 0.32), (0.45, 0.45), (9.0, 0.5), (0.0, 0.32)):
+        assert rig.send(c.SetParam("ctrlMel/kp_xy", asked)).value == pytest.approx(told)
+        # The range does not move with what has been written.
+        rig.sink.params["ctrlMel.kp_xy"] = told
+    assert rig.send(c.SetParam("ctrlMel.ki_m_xy", 5.0)).value == 0.0
+    assert "ctrlMel.kd_xy" in rig.refused(c.SetParam("ctrlMel.kd_xy", 0.2))  # nobody knows it
+    assert "range around" in rig.events[-2].detail
+
+
+def test_refusing_policy_refuses_what_is_out_of_range():
+    rig = Rig(policy=Policy.REFUSE)
+    rig.sink.params = dict(BOOT)
+    assert "ctrlMel.kp_xy -4 is outside 0.32 .. 0.5" in rig.refused(c.SetParam("ctrlMel.kp_xy", -4))
+    command = c.SetParam("ctrlMel.kp_xy", 0.5)
+    assert rig.send(command) is command
+
+
+def test_controllers_are_told_apart_as_the_firmware_reads_them():
+    for passed in (2, 2.9, 2.0):
+        Rig().send(c.SetParam("stabilizer/controller", passed))
+    for gentler in (0, 1, 1.4, 0.9, -0.5):
+        assert "more gently" in Rig().refused(c.SetParam("stabilizer.controller", gentler))
+        Rig(limits=Limits(braking=3.5)).send(c.SetParam("stabilizer.controller", gentler))
+    for unknown in (3, 4.2, 5, 6, 255, 256, 258, -1, 1e30):
+        rig = Rig(limits=Limits(braking=3.5))
+        rig.refused(c.SetParam("stabilizer.controller", unknown))
+        rig.refused(c.SetParam("stabilizer/controller", unknown))
+
+
+def test_integers_lose_their_fraction_before_they_are_bounded():
+    rig = Rig()
+    rig.sink.params = dict(BOOT)
+    rig.send(c.SetParam("posCtlPid.thrustBase", 39600.9))
+    assert rig.send(c.SetParam("posCtlPid.thrustBase", 39601)).value == pytest.approx(39600.0)
+    assert "does not hold" in rig.refused(c.SetParam("posCtlPid.thrustBase", 65536.0))
+    assert "does not hold" in rig.refused(c.SetParam("ctrlMel.kp_xy", 1e39))
+
+
+def test_avoidance_on_board_is_kept_inside_the_fence():
+    rig = Rig()
+    sent = rig.send(c.CollisionAvoidance(True))
+    assert sent.bbox_min == pytest.approx((-2.95, -2.95, -0.1))
+    assert sent.bbox_max == pytest.approx((2.95, 2.95, 1.95))
+    assert rig.events == []
+    assert rig.send(c.CollisionAvoidance(True, max_speed=9.0)).max_speed == 3.0
+    outside = c.CollisionAvoidance(True, bbox_min=(4.0, -1.0, 0.0), bbox_max=(5.0, 1.0, 1.0))
+    assert "outside the fence" in rig.refused(outside)
+    away = c.CollisionAvoidance(True, bbox_min=(2.0, -1.0, 0.0), bbox_max=(2.5, 1.0, 1.5))
+    assert "drag" in rig.refused(away)
+    off = c.CollisionAvoidance(False)
+    assert rig.send(off) is off
 
 
 def test_budget_is_enforced_and_never_on_a_stop():

@@ -114,7 +114,7 @@ def test_every_rule_has_a_case():
     assert covered == {rule.name for rule in RULES}
     for rule in RULES:
         if rule.name != "lost_control":
-            stages = {stage.action for stage in rule.stages(N)}
+            stages = {stage.action for stage in rule.stages}
             assert stages == {case[1] for case in CASES if case[0] == rule.name}
 
 

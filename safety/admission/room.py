@@ -1,0 +1,208 @@
+"""Where setpoints may be and how fast: the rules that several kinds of commands share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.errors import InputError
+from crazyarena.safety.admission.memory import Refused, VehicleMemory
+from crazyarena.safety.fence import Fence
+from crazyarena.safety.limits import Limits
+from crazyarena.safety.link_loss import LinkLoss, largest_share
+from crazyarena.safety.observation import Point, as_point
+from crazyarena.safety.planner import Motion
+from crazyarena.types import VehicleState
+
+# Peaks of the firmware's rest-to-rest polynomial of 7th order over distance and duration.
+_PEAK_SPEED = 35.0 / 16.0
+_PEAK_ACCELERATION = 7.5132
+_VELOCITY_HORIZON = 0.5  # s of a velocity setpoint that have to end inside the fence
+_MEMORY = 0.5  # s after which the last setpoint no longer bounds the next
+_WAY_STEP = 0.025  # m, between looks along a way
+OUT_IF_LOST = "it would carry the vehicle out of the fence if the link were lost now"
+
+
+class Room:
+    """Fence, limits and what is believed of the vehicles, as the checks need them.
+
+    Methods that bound something append to ``reasons`` what they had to change.
+
+    Parameters
+    ----------
+    state: latest believed state of a vehicle, or None.
+    parameter: value of a firmware parameter of a vehicle; raises BackendError.
+    """
+
+    def __init__(
+        self,
+        fence: Fence,
+        limits: Limits,
+        state: Callable[[int], VehicleState | None],
+        parameter: Callable[[int, str], float],
+    ) -> None:
+        self.fence = fence
+        self.limits = limits
+        self.link_loss = LinkLoss(fence, limits)
+        self.state = state
+        self.parameter = parameter
+
+    def where(self, vehicle: int) -> Point | None:
+        state = self.state(vehicle)
+        return None if state is None else as_point(state.position)
+
+    def seen(self, vehicle: int) -> Motion | None:
+        """How the vehicle moves, as far as anybody knows."""
+        state = self.state(vehicle)
+        if state is None:
+            return None
+        return Motion(as_point(state.position), as_point(state.velocity))
+
+    def near_its_plan(
+        self, m: c.Command, memory: VehicleMemory, begin: Point | None, seen: Motion | None
+    ) -> None:
+        """Refuse what would begin on a plan that the vehicle is not following."""
+        if begin is None or seen is None:
+            return
+        away = math.dist(begin, seen.position)
+        if away > self.limits.setpoint_lead:
+            raise memory.refusal(
+                m,
+                f"the vehicle is {away:.2f} m from where its plan has it, at most "
+                f"{self.limits.setpoint_lead:g} m may be",
+            )
+
+    def clear_share(self, begin: Point, end: Point, least: float) -> float:
+        """Share of the straight way from ``begin`` to ``end`` with at least ``least`` m of room.
+
+        The ground is where a vehicle stands, so what is below counts as lying on it.
+        """
+        fence = self.fence
+        steps = max(1, math.ceil(math.dist(begin, end) / _WAY_STEP))
+
+        def good(share: float) -> bool:
+            x, y, z = (a + share * (b - a) for a, b in zip(begin, end, strict=True))
+            return fence.room(x, y, max(z, fence.floor)) >= least - 1e-6
+
+        bad = next((k for k in range(1, steps + 1) if not good(k / steps)), None)
+        if bad is None:
+            return 1.0
+        last = (bad - 1) / steps
+        return last + largest_share(lambda part: good(last + part / steps), 6) / steps
+
+    def motion(self, vehicle: int) -> tuple[Point, Point] | None:
+        """Place and velocity for the look at link losses; None if off, or nobody knows them."""
+        state = self.state(vehicle) if self.link_loss.on else None
+        return None if state is None else (as_point(state.position), as_point(state.velocity))
+
+    def inside(self, point: Point, vehicle: int, reasons: list[str], what: str) -> Point:
+        margin = self.fence.soft_margin
+        room = self.fence.room(*point)
+        # The level's own start or goal may lie between soft and hard limit, so only what is
+        # beyond the hard one is moved, and then to the soft one.
+        if room >= 0.0:
+            return point
+        try:
+            moved = self.fence.nearest(point, margin, self.where(vehicle))
+        except InputError:
+            raise Refused(
+                f"cf{vehicle}: {what} {text(point)} m is outside the fence, and nothing inside "
+                "is near"
+            ) from None
+        reasons.append(
+            f"{what} {text(point)} m is {-room:.2f} m outside the fence, moved to {text(moved)}"
+        )
+        return moved
+
+    def slowed(self, velocity: Point, reasons: list[str], what: str, limit: float) -> Point:
+        size = math.hypot(*velocity)
+        if size <= limit:
+            return velocity
+        reasons.append(f"{what} of {size:.2f} is above {limit:g}")
+        share = limit / size
+        return velocity[0] * share, velocity[1] * share, velocity[2] * share
+
+    def near_fence(self, place: Point, velocity: Point, reasons: list[str]) -> Point:
+        """Slow a velocity setpoint that leads out of the fence, or would if it were the last."""
+        if self.link_loss.on:
+            allowed = self.link_loss.velocity(place, velocity)
+            if allowed is not None:
+                reasons.append(
+                    f"velocity {text(velocity)} m/s would lead out of the fence if the link were "
+                    "lost now"
+                )
+                velocity = allowed
+        if math.hypot(*velocity) < 1e-9:
+            return velocity
+        horizon = _VELOCITY_HORIZON
+
+        def room_after(share: float) -> float:
+            ahead = [p + share * horizon * v for p, v in zip(place, velocity, strict=True)]
+            return self.fence.room(ahead[0], ahead[1], max(ahead[2], self.fence.floor))
+
+        if room_after(1.0) >= 0.0 and room_after(0.5) >= 0.0:
+            return velocity
+        left = largest_share(lambda share: room_after(share) >= 0.0, 12)
+        reasons.append(f"velocity {text(velocity)} m/s leads out of the fence within {horizon:g} s")
+        return velocity[0] * left, velocity[1] * left, velocity[2] * left
+
+    def reachable(
+        self, point: Point, memory: VehicleMemory, now: float, reasons: list[str]
+    ) -> Point:
+        """Bound a streamed position by the one before it, and by where the vehicle is."""
+        n = self.limits
+        age = now - memory.setpoint_time
+        if memory.setpoint is not None and age <= _MEMORY:
+            limit = n.setpoint_step + n.setpoint_speed * age
+            point = towards(memory.setpoint, point, limit, "last setpoint", reasons)
+        where = self.where(memory.vehicle)
+        if where is not None:
+            point = towards(where, point, n.setpoint_lead, "vehicle", reasons)
+            if not self.fence.is_convex:
+                point = self._in_sight(where, point, reasons)
+        return point
+
+    def _in_sight(self, where: Point, point: Point, reasons: list[str]) -> Point:
+        """``point``, or the last place before fence or zone on the straight way to it."""
+        x, y, z = where
+        least = min(0.0, self.fence.room(x, y, max(z, self.fence.floor)))
+        share = self.clear_share(where, point, least)
+        if share >= 1.0:
+            return point
+        reasons.append(f"the way to {text(point)} m leads out of the fence")
+        x, y, z = (a + share * (b - a) for a, b in zip(where, point, strict=True))
+        return x, y, z
+
+    def duration(self, distance: float, duration: float, reasons: list[str]) -> float:
+        """The duration, or the shortest that keeps the polynomial within the limits."""
+        n = self.limits
+        least = max(
+            _PEAK_SPEED * distance / n.setpoint_speed,
+            math.sqrt(_PEAK_ACCELERATION * distance / n.setpoint_acceleration),
+        )
+        if duration >= least:
+            return duration
+        reasons.append(f"{distance:.2f} m in {duration:g} s is too fast, {least:.2f} s are needed")
+        return least
+
+
+def towards(origin: Point, point: Point, limit: float, what: str, reasons: list[str]) -> Point:
+    """``point``, or the one ``limit`` m from ``origin`` on the way to it."""
+    distance = math.dist(origin, point)
+    if distance <= limit:
+        return point
+    reasons.append(f"position is {distance:.2f} m from the {what}, at most {limit:.2f} m may be")
+    share = limit / distance
+    x, y, z = (a + share * (b - a) for a, b in zip(origin, point, strict=True))
+    return x, y, z
+
+
+def text(point: Point) -> str:
+    return "[" + ", ".join(f"{value:.2f}" for value in point) + "]"
+
+
+def yaw_of(q: Any) -> float:
+    x, y, z, w = (float(value) for value in q)
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
