@@ -45,19 +45,19 @@ from crazyarena.sim_backend.firmware import commander as setpoints
 from crazyarena.sim_backend.firmware import layout as la
 from crazyarena.sim_backend.firmware import supervisor as sv
 from crazyarena.sim_backend.firmware.kalman import MEAS_POSE, MEAS_POSITION
-from crazyarena.sim_backend.firmware.parameters import default_row
 from crazyarena.sim_backend.firmware.planner import TRAJECTORY_MEMORY_SIZE
 from crazyarena.sim_backend.physics import competition_step as cs
 from crazyarena.sim_backend.physics import fleet as neighbours
 from crazyarena.sim_backend.physics import geometry
 from crazyarena.sim_backend.physics.arena_plant import (
     AB_ACCELERATION,
+    AB_CHARGE,
     AB_CONTACT,
     AB_REST,
     AB_VOLTS,
+    AP_CAPACITY,
     ARENA_BODY_SIZE,
     GRAVITY,
-    default_plant,
     open_circuit_volts,
 )
 from crazyarena.sim_backend.physics.scene import (
@@ -67,6 +67,7 @@ from crazyarena.sim_backend.physics.scene import (
     ground_code,
 )
 from crazyarena.sim_backend.trace import NO_CONTACT, TRACE_SIZE
+from crazyarena.sim_backend.vehicles import Rows, default_rows
 from crazyarena.types import Pose, Telemetry, VehicleContact, VehicleState
 
 Array = NDArray[np.float64]
@@ -94,7 +95,8 @@ class ArenaFleet:
     positions: (n, 3) m, world; z is the height of the centre, at least that of a vehicle at rest.
     yaws: (n,) rad.
     ids: 1..255, for collision avoidance; 1, 2, ... by default.
-    plant: one plant row for all or (n, ARENA_PLANT_SIZE), see :mod:`.physics.arena_plant`.
+    vehicles: rows of one vehicle model for all or of one each, see :mod:`.vehicles`; the default
+        vehicle if not given. Sensor noise has to be asked for with ``noise``.
     scene: gates and obstacles of :func:`.physics.scene.build_scene`.
     noise, rng: sensor noise and its generator; drawn per call of :meth:`advance`, one block of
         (n, ticks, 9) standard normals, and not at all without noise.
@@ -114,7 +116,7 @@ class ArenaFleet:
         yaws: ArrayLike | None = None,
         *,
         ids: Sequence[int] | None = None,
-        plant: Array | None = None,
+        vehicles: Sequence[Rows] | Rows | None = None,
         scene: Array | None = None,
         noise: SensorNoise | None = None,
         rng: np.random.Generator | None = None,
@@ -133,9 +135,12 @@ class ArenaFleet:
             raise ValueError("sensor noise needs a generator: pass rng")
         self._auto_arm = auto_arm
         self.bodies = np.zeros((n, ARENA_BODY_SIZE))
-        self.plants = np.array(
-            np.broadcast_to(default_plant() if plant is None else plant, (n, len(default_plant())))
-        )
+        if vehicles is None:
+            vehicles = default_rows()
+        self.models = [vehicles] * n if isinstance(vehicles, Rows) else list(vehicles)
+        if len(self.models) != n:
+            raise ValueError(f"{len(self.models)} vehicle models for {n} vehicles")
+        self.plants = np.array([model.plant for model in self.models]).reshape(n, -1)
         self.memory = np.zeros((n, stack_2026.FIRMWARE_SIZE))
         self.params = np.zeros((n, len(PARAMS)))
         self.trajectories = np.zeros((n, TRAJECTORY_MEMORY_SIZE), dtype=np.uint8)
@@ -196,20 +201,24 @@ class ArenaFleet:
         self._work[:, geometry.W_CACHE, 3] = -1.0  # the clearance found last
 
     def place(self, vehicle: int, position: ArrayLike, yaw: float = 0.0) -> None:
-        """Put a vehicle somewhere, level, at rest and with a full battery."""
+        """Put a vehicle somewhere, level, at rest and with a fresh battery."""
         x, y, z = (float(value) for value in np.asarray(position, dtype=np.float64))
         body = self.bodies[vehicle]
         body[:] = 0.0
         cs.set_pose(body, x, y, max(z, _REST_HEIGHT), 0.0, 0.0, yaw)
         body[AB_ACCELERATION + 2] = GRAVITY
-        body[AB_VOLTS] = open_circuit_volts(0.0)
+        drawn = self.models[vehicle].drawn
+        body[AB_CHARGE] = drawn * self.plants[vehicle, AP_CAPACITY]
+        body[AB_VOLTS] = open_circuit_volts(self.plants[vehicle], drawn)
         body[AB_CONTACT] = NO_CONTACT
         geometry.forget(self._work[vehicle])
 
     def reboot(self, vehicle: int) -> None:
         """Restart a vehicle's firmware: parameters at their defaults, time 0."""
-        self.memory[vehicle] = stack_2026.firmware_memory(self._auto_arm)
-        self.params[vehicle] = default_row(PARAMS, 2026)
+        self.memory[vehicle] = stack_2026.firmware_memory(
+            self.models[vehicle].platform, self._auto_arm
+        )
+        self.params[vehicle] = self.models[vehicle].params
         self.trajectories[vehicle] = 0
         self._queues[vehicle] = 0.0
         self.listen(vehicle, None)

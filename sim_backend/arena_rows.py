@@ -60,7 +60,7 @@ class VehicleRows:
 
     @property
     def high_level(self) -> Array:
-        return self.memory[stack_2026.F_HIGH_LEVEL :]
+        return self.memory[stack_2026.F_HIGH_LEVEL : stack_2026.F_PLATFORM]
 
     @property
     def high_level_params(self) -> Array:

@@ -66,7 +66,6 @@ class Flight:
         self.seed = seed
         plan = draw_plan(fault, seed)
         self.rng = plan.rng
-        self.plant = plan.plant
         self.mellinger = plan.mellinger
         self.circuit = plan.circuit
         self.onset = plan.struck
@@ -74,7 +73,7 @@ class Flight:
         self.clock = VirtualClock()
         self.fleet = ArenaFleet(
             [plan.start],
-            plant=self.plant,
+            vehicles=plan.vehicle,
             noise=SensorNoise(gyro=0.1, accelerometer=0.005, force=0.0),
             rng=np.random.default_rng([seed, 1]),
         )
