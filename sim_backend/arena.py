@@ -7,8 +7,7 @@ owns it advances it, feeds it external poses and hands it commands at the moment
 from __future__ import annotations
 
 import math
-import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.checks import check
-from crazyarena.errors import BackendError, CommandError
+from crazyarena.sim_backend.arena_commands import execute
 from crazyarena.sim_backend.arena_kernel import (
     CONTACT_PAUSE,
     DT,
@@ -33,25 +32,32 @@ from crazyarena.sim_backend.arena_kernel import (
     enqueue,
     show_truth,
 )
-from crazyarena.sim_backend.crtp.setpoints import compress_quaternion, decode_setpoint
+from crazyarena.sim_backend.arena_params import (
+    PARAM_INDEX,
+    PARAMS,
+    param_index,
+    param_to_store,
+    param_value,
+)
+from crazyarena.sim_backend.arena_rows import VehicleRows
 from crazyarena.sim_backend.firmware import collision_avoidance, high_level, stack_2026
 from crazyarena.sim_backend.firmware import commander as setpoints
 from crazyarena.sim_backend.firmware import layout as la
 from crazyarena.sim_backend.firmware import supervisor as sv
 from crazyarena.sim_backend.firmware.kalman import MEAS_POSE, MEAS_POSITION
-from crazyarena.sim_backend.firmware.parameters import Param, default_row
-from crazyarena.sim_backend.firmware.planner import PIECE_BYTES, TRAJECTORY_MEMORY_SIZE
+from crazyarena.sim_backend.firmware.planner import TRAJECTORY_MEMORY_SIZE
 from crazyarena.sim_backend.physics import competition_step as cs
 from crazyarena.sim_backend.physics import fleet as neighbours
 from crazyarena.sim_backend.physics import geometry
 from crazyarena.sim_backend.physics.arena_plant import (
     AB_ACCELERATION,
+    AB_CHARGE,
     AB_CONTACT,
     AB_REST,
     AB_VOLTS,
+    AP_CAPACITY,
     ARENA_BODY_SIZE,
     GRAVITY,
-    default_plant,
     open_circuit_volts,
 )
 from crazyarena.sim_backend.physics.scene import (
@@ -61,35 +67,13 @@ from crazyarena.sim_backend.physics.scene import (
     ground_code,
 )
 from crazyarena.sim_backend.trace import NO_CONTACT, TRACE_SIZE
+from crazyarena.sim_backend.vehicles import Rows, default_rows
 from crazyarena.types import Pose, Telemetry, VehicleContact, VehicleState
 
 Array = NDArray[np.float64]
 
-# Parameters of decks that scripts like to set; they have no effect on the flight.
-_DECK_PARAMS = (
-    Param("ring.effect", 6, 6, "uint8"),
-    Param("ring.headlightEnable", 0, 0, "uint8"),
-    Param("ring.solidRed", 20, 20, "uint8"),
-    Param("ring.solidGreen", 20, 20, "uint8"),
-    Param("ring.solidBlue", 20, 20, "uint8"),
-    Param("led.bitmask", 0, 0, "uint8"),
-)
-PARAMS = (*stack_2026.PARAMS, *_DECK_PARAMS)
-_PARAM_INDEX = {param.name: i for i, param in enumerate(PARAMS)}
-_INTEGER = {
-    "uint8": (0, 2**8 - 1),
-    "int8": (-(2**7), 2**7 - 1),
-    "uint16": (0, 2**16 - 1),
-    "int16": (-(2**15), 2**15 - 1),
-    "uint32": (0, 2**32 - 1),
-    "int32": (-(2**31), 2**31 - 1),
-}
-
 _REST_HEIGHT = VEHICLE_HALF_LENGTH + MARGIN  # m, of the centre above the ground
 _DEG = 180.0 / math.pi
-_INT16 = 32767
-_FULL_STATE = struct.Struct("<B9hI3h")
-_POLY4D = 0
 _BLOCK = 10  # ticks for which vehicles far from each other run on their own; < CONTACT_PAUSE
 
 
@@ -103,61 +87,6 @@ class SensorNoise:
     force: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleRows:
-    """Live views of one vehicle's memory, for the kernels of ``firmware/``."""
-
-    body: Array
-    plant: Array
-    memory: Array
-    params: Array
-    trajectories: NDArray[np.uint8]
-
-    @property
-    def state(self) -> Array:
-        return self.memory[stack_2026.F_STATE : stack_2026.F_SETPOINT]
-
-    @property
-    def setpoint(self) -> Array:
-        return self.memory[stack_2026.F_SETPOINT : stack_2026.F_CONTROL]
-
-    @property
-    def control(self) -> Array:
-        return self.memory[stack_2026.F_CONTROL : stack_2026.F_MOTORS]
-
-    @property
-    def motors(self) -> Array:
-        return self.memory[stack_2026.F_MOTORS : stack_2026.F_SUPPLY]
-
-    @property
-    def supervisor(self) -> Array:
-        return self.memory[stack_2026.F_SUPERVISOR : stack_2026.F_COMMANDER]
-
-    @property
-    def commander(self) -> Array:
-        return self.memory[stack_2026.F_COMMANDER : stack_2026.F_MELLINGER]
-
-    @property
-    def mellinger(self) -> Array:
-        return self.memory[stack_2026.F_MELLINGER : stack_2026.F_PID]
-
-    @property
-    def pid(self) -> Array:
-        return self.memory[stack_2026.F_PID : stack_2026.F_AVOIDANCE]
-
-    @property
-    def kalman(self) -> Array:
-        return self.memory[stack_2026.F_KALMAN : stack_2026.F_HIGH_LEVEL]
-
-    @property
-    def high_level(self) -> Array:
-        return self.memory[stack_2026.F_HIGH_LEVEL :]
-
-    @property
-    def high_level_params(self) -> Array:
-        return self.params[stack_2026.P_HIGH_LEVEL : stack_2026.P_AVOIDANCE]
-
-
 class ArenaFleet:
     """Vehicles standing on the ground, booted at time 0.
 
@@ -166,7 +95,8 @@ class ArenaFleet:
     positions: (n, 3) m, world; z is the height of the centre, at least that of a vehicle at rest.
     yaws: (n,) rad.
     ids: 1..255, for collision avoidance; 1, 2, ... by default.
-    plant: one plant row for all or (n, ARENA_PLANT_SIZE), see :mod:`.physics.arena_plant`.
+    vehicles: rows of one vehicle model for all or of one each, see :mod:`.vehicles`; the default
+        vehicle if not given. Sensor noise has to be asked for with ``noise``.
     scene: gates and obstacles of :func:`.physics.scene.build_scene`.
     noise, rng: sensor noise and its generator; drawn per call of :meth:`advance`, one block of
         (n, ticks, 9) standard normals, and not at all without noise.
@@ -186,7 +116,7 @@ class ArenaFleet:
         yaws: ArrayLike | None = None,
         *,
         ids: Sequence[int] | None = None,
-        plant: Array | None = None,
+        vehicles: Sequence[Rows] | Rows | None = None,
         scene: Array | None = None,
         noise: SensorNoise | None = None,
         rng: np.random.Generator | None = None,
@@ -205,9 +135,12 @@ class ArenaFleet:
             raise ValueError("sensor noise needs a generator: pass rng")
         self._auto_arm = auto_arm
         self.bodies = np.zeros((n, ARENA_BODY_SIZE))
-        self.plants = np.array(
-            np.broadcast_to(default_plant() if plant is None else plant, (n, len(default_plant())))
-        )
+        if vehicles is None:
+            vehicles = default_rows()
+        self.models = [vehicles] * n if isinstance(vehicles, Rows) else list(vehicles)
+        if len(self.models) != n:
+            raise ValueError(f"{len(self.models)} vehicle models for {n} vehicles")
+        self.plants = np.array([model.plant for model in self.models]).reshape(n, -1)
         self.memory = np.zeros((n, stack_2026.FIRMWARE_SIZE))
         self.params = np.zeros((n, len(PARAMS)))
         self.trajectories = np.zeros((n, TRAJECTORY_MEMORY_SIZE), dtype=np.uint8)
@@ -268,24 +201,27 @@ class ArenaFleet:
         self._work[:, geometry.W_CACHE, 3] = -1.0  # the clearance found last
 
     def place(self, vehicle: int, position: ArrayLike, yaw: float = 0.0) -> None:
-        """Put a vehicle somewhere, level, at rest and with a full battery."""
+        """Put a vehicle somewhere, level, at rest and with a fresh battery."""
         x, y, z = (float(value) for value in np.asarray(position, dtype=np.float64))
         body = self.bodies[vehicle]
         body[:] = 0.0
         cs.set_pose(body, x, y, max(z, _REST_HEIGHT), 0.0, 0.0, yaw)
         body[AB_ACCELERATION + 2] = GRAVITY
-        body[AB_VOLTS] = open_circuit_volts(0.0)
+        drawn = self.models[vehicle].drawn
+        body[AB_CHARGE] = drawn * self.plants[vehicle, AP_CAPACITY]
+        body[AB_VOLTS] = open_circuit_volts(self.plants[vehicle], drawn)
         body[AB_CONTACT] = NO_CONTACT
         geometry.forget(self._work[vehicle])
 
     def reboot(self, vehicle: int) -> None:
         """Restart a vehicle's firmware: parameters at their defaults, time 0."""
-        self.memory[vehicle] = stack_2026.firmware_memory(self._auto_arm)
-        self.params[vehicle] = default_row(PARAMS, 2026)
+        self.memory[vehicle] = stack_2026.firmware_memory(
+            self.models[vehicle].platform, self._auto_arm
+        )
+        self.params[vehicle] = self.models[vehicle].params
         self.trajectories[vehicle] = 0
-        self._peer_tables[vehicle] = 0.0
         self._queues[vehicle] = 0.0
-        self._listen(vehicle, None)
+        self.listen(vehicle, None)
 
     def advance(self, ticks: int, traces: Array | None = None) -> None:
         """Let ``ticks`` milliseconds pass.
@@ -381,7 +317,7 @@ class ArenaFleet:
         that avoid collisions also note the positions of the others."""
         for vehicle, pose in poses.items():
             self.external_pose(vehicle, pose, latency)
-        for avoiding in np.flatnonzero(self.params[:, _PARAM_INDEX["colAv.enable"]]):
+        for avoiding in np.flatnonzero(self.params[:, PARAM_INDEX["colAv.enable"]]):
             for peer, pose in poses.items():
                 if peer != avoiding:
                     self.peer_position(int(avoiding), self.ids[peer], pose.position)
@@ -393,7 +329,7 @@ class ArenaFleet:
             self.memory,
             self._queues,
             self._peer_tables,
-            self.params[:, _PARAM_INDEX["colAv.enable"]],
+            self.params[:, PARAM_INDEX["colAv.enable"]],
             self._hears,
             self._id_row,
         )
@@ -408,7 +344,9 @@ class ArenaFleet:
             self._peer_tables[vehicle], peer_id, x, y, z, self.memory[vehicle, stack_2026.F_TICK]
         )
 
-    def _listen(self, vehicle: int, peers: frozenset[int] | None) -> None:
+    def listen(self, vehicle: int, peers: frozenset[int] | None) -> None:
+        """Forget the peers heard of; from now on hear of ``peers`` only (None: of everybody)."""
+        self._peer_tables[vehicle] = 0.0
         self._heard[vehicle] = peers
         self._hears[vehicle] = [peers is None or ident in peers for ident in self.ids]
 
@@ -432,7 +370,7 @@ class ArenaFleet:
         check(command, f"vehicle {self.ids[vehicle]}")
         if not self.is_addressed(command, vehicle):
             return 0
-        return _HANDLERS[type(command)](self, vehicle, command)
+        return execute(self, vehicle, command)
 
     def is_addressed(self, command: c.Command, vehicle: int) -> bool:
         """False if the command is for a group that the vehicle does not belong to."""
@@ -453,36 +391,19 @@ class ArenaFleet:
 
     def get_param(self, vehicle: int, name: str) -> float:
         """Value of ``group.name``; raises BackendError if the vehicle has no such parameter."""
-        value = float(self.params[vehicle, self._param(vehicle, name)])
-        return value if PARAMS[_PARAM_INDEX[name]].ctype == "float" else int(value)
+        index = param_index(name, self.ids[vehicle])
+        return param_value(index, float(self.params[vehicle, index]))
 
     def set_param(self, vehicle: int, name: str, value: float) -> None:
         """Set ``group.name``, at once in effect; raises BackendError if there is none, and
         CommandError for a value beyond its type."""
-        index = self._param(vehicle, name)
-        ctype = PARAMS[index].ctype
-        if ctype != "float":
-            low, high = _INTEGER[ctype]
-            if not low <= value <= high:
-                raise CommandError(
-                    f"vehicle {self.ids[vehicle]}: {name} is {value!r}; its type {ctype} holds "
-                    f"{low}..{high}"
-                )
-            value = int(value)
-        self.params[vehicle, index] = value
-
-    def _param(self, vehicle: int, name: str) -> int:
-        try:
-            return _PARAM_INDEX[name]
-        except KeyError:
-            raise BackendError(
-                f"vehicle {self.ids[vehicle]}: no parameter {name!r}; see param_names()"
-            ) from None
+        index = param_index(name, self.ids[vehicle])
+        self.params[vehicle, index] = param_to_store(index, value, self.ids[vehicle])
 
     @staticmethod
     def param_names() -> tuple[str, ...]:
         """Every parameter a vehicle has."""
-        return tuple(_PARAM_INDEX)
+        return tuple(PARAM_INDEX)
 
     # What a vehicle tells
 
@@ -522,180 +443,3 @@ class ArenaFleet:
     def supervisor_info(self, vehicle: int) -> int:
         """Bit field of ``supervisor.info``."""
         return int(self.rows(vehicle).supervisor[sv.SV_INFO])
-
-    # Commands
-
-    def _takeoff(self, vehicle: int, m: c.Takeoff) -> int:
-        return self._vertical(high_level.takeoff, vehicle, m)
-
-    def _land(self, vehicle: int, m: c.Land) -> int:
-        return self._vertical(high_level.land, vehicle, m)
-
-    def _vertical(self, kernel: Callable[..., int], vehicle: int, m: c.Takeoff | c.Land) -> int:
-        yaw = 0.0 if m.yaw is None else float(m.yaw)
-        planner = self.rows(vehicle).high_level
-        now = self._seconds(vehicle)
-        return int(kernel(planner, float(m.height), float(m.duration), yaw, m.yaw is None, now))
-
-    def _seconds(self, vehicle: int) -> float:
-        return float(self.memory[vehicle, stack_2026.F_TICK]) * DT
-
-    def _go_to(self, vehicle: int, m: c.GoTo) -> int:
-        x, y, z = (float(value) for value in np.asarray(m.position, dtype=np.float64))
-        return int(
-            high_level.go_to(
-                self.rows(vehicle).high_level,
-                self.trajectories[vehicle],
-                x,
-                y,
-                z,
-                float(m.yaw),
-                float(m.duration),
-                bool(m.relative),
-                False,
-                self._seconds(vehicle),
-            )
-        )
-
-    def _stop(self, vehicle: int, m: c.Stop) -> int:
-        return int(high_level.stop(self.rows(vehicle).high_level))
-
-    def _notify(self, vehicle: int, m: c.NotifySetpointsStop) -> int:
-        stack_2026.notify_setpoints_stop(self.memory[vehicle])
-        return 0
-
-    def _packet(self, vehicle: int, payload: bytes) -> int:
-        # Through the packet and back, so that the vehicle sees the resolution of the protocol.
-        row = decode_setpoint(payload)
-        assert row is not None
-        self.setpoint(vehicle, row)
-        return 0
-
-    def _full_state(self, vehicle: int, m: c.FullState) -> int:
-        yaw = 0.5 * float(m.yaw)
-        vectors = (m.position, m.velocity, m.acceleration, m.omega)
-        milli = [_milli(float(value)) for vector in vectors for value in np.asarray(vector)]
-        quaternion = compress_quaternion((0.0, 0.0, math.sin(yaw), math.cos(yaw)))
-        return self._packet(vehicle, _FULL_STATE.pack(6, *milli[:9], quaternion, *milli[9:]))
-
-    def _position(self, vehicle: int, m: c.Position) -> int:
-        position = np.asarray(m.position, dtype=np.float64)
-        return self._packet(vehicle, struct.pack("<Bffff", 7, *position, m.yaw * _DEG))
-
-    def _velocity(self, vehicle: int, m: c.VelocityWorld) -> int:
-        velocity = np.asarray(m.velocity, dtype=np.float64)
-        return self._packet(vehicle, struct.pack("<Bffff", 8, *velocity, m.yaw_rate * _DEG))
-
-    def _hover(self, vehicle: int, m: c.Hover) -> int:
-        payload = struct.pack("<Bffff", 10, m.vx, m.vy, m.yaw_rate * _DEG, m.height)
-        return self._packet(vehicle, payload)
-
-    def _attitude(self, vehicle: int, m: c.Attitude) -> int:
-        # Protocol 12's own packet for this has no thrust lock; the legacy one would need a
-        # packet of zero thrust first.
-        payload = struct.pack(
-            "<BfffHB",
-            11,
-            m.roll * _DEG,
-            -m.pitch * _DEG,
-            m.yaw_rate * _DEG,
-            int(min(max(m.thrust, 0), 65535)),
-            0,
-        )
-        return self._packet(vehicle, payload)
-
-    def _cut_motors(self, vehicle: int, m: c.CutMotors) -> int:
-        return self._packet(vehicle, b"\x00")
-
-    def _emergency(self, vehicle: int, m: c.Emergency) -> int:
-        self.rows(vehicle).supervisor[sv.SV_STOP] = 1.0
-        return 0
-
-    def _arm(self, vehicle: int, m: c.Arm) -> int:
-        accepted = sv.supervisor_request_arming(self.rows(vehicle).supervisor, bool(m.arm))
-        return 0 if accepted else 1
-
-    def _upload(self, vehicle: int, m: c.UploadTrajectory) -> int:
-        pieces = np.asarray(m.pieces, dtype=np.float64)
-        # The vehicle's format: 32 coefficients, then the duration, float32.
-        data = np.frombuffer(np.roll(pieces, -1, axis=1).astype("<f4").tobytes(), np.uint8)
-        start = PIECE_BYTES * int(m.piece_offset)
-        if start + len(data) > TRAJECTORY_MEMORY_SIZE:
-            raise CommandError(
-                f"vehicle {self.ids[vehicle]}: uploadTrajectory: {len(pieces)} pieces from piece "
-                f"{m.piece_offset} on; the memory holds {TRAJECTORY_MEMORY_SIZE // PIECE_BYTES}"
-            )
-        self.trajectories[vehicle, start : start + len(data)] = data
-        planner = self.rows(vehicle).high_level
-        return int(
-            high_level.define_trajectory(planner, int(m.trajectory_id), _POLY4D, start, len(pieces))
-        )
-
-    def _start(self, vehicle: int, m: c.StartTrajectory) -> int:
-        return int(
-            high_level.start_trajectory(
-                self.rows(vehicle).high_level,
-                self.trajectories[vehicle],
-                int(m.trajectory_id),
-                float(m.timescale),
-                bool(m.relative),
-                False,
-                bool(m.reverse),
-                self._seconds(vehicle),
-            )
-        )
-
-    def _set_group_mask(self, vehicle: int, m: c.SetGroupMask) -> int:
-        return int(
-            high_level.set_group_mask(self.rows(vehicle).high_level_params, int(m.group_mask))
-        )
-
-    def _set_param(self, vehicle: int, m: c.SetParam) -> int:
-        self.set_param(vehicle, m.name, m.value)
-        return 0
-
-    def _set_led(self, vehicle: int, m: c.SetLed) -> int:
-        for name, value in (("Red", m.red), ("Green", m.green), ("Blue", m.blue)):
-            self.set_param(vehicle, f"ring.solid{name}", int(255 * min(max(value, 0.0), 1.0)))
-        return 0
-
-    def _collision_avoidance(self, vehicle: int, m: c.CollisionAvoidance) -> int:
-        if m.enable:
-            for axis, name in enumerate("XYZ"):
-                self.set_param(vehicle, f"colAv.ellipsoid{name}", m.radii[axis])
-                self.set_param(vehicle, f"colAv.bboxMin{name}", m.bbox_min[axis])
-                self.set_param(vehicle, f"colAv.bboxMax{name}", m.bbox_max[axis])
-            self.set_param(vehicle, "colAv.horizon", m.horizon)
-            self.set_param(vehicle, "colAv.maxSpeed", m.max_speed)
-            self._listen(vehicle, None if m.peers is None else frozenset(m.peers))
-            self._peer_tables[vehicle] = 0.0
-        self.set_param(vehicle, "colAv.enable", int(m.enable))
-        return 0
-
-
-def _milli(value: float) -> int:
-    """Thousandths, truncated like the client does and limited to 16 bits."""
-    return int(min(max(1000.0 * value, -_INT16 - 1), _INT16))
-
-
-_HANDLERS: dict[type, Callable[..., int]] = {
-    c.Takeoff: ArenaFleet._takeoff,
-    c.Land: ArenaFleet._land,
-    c.GoTo: ArenaFleet._go_to,
-    c.Stop: ArenaFleet._stop,
-    c.NotifySetpointsStop: ArenaFleet._notify,
-    c.FullState: ArenaFleet._full_state,
-    c.Position: ArenaFleet._position,
-    c.VelocityWorld: ArenaFleet._velocity,
-    c.Hover: ArenaFleet._hover,
-    c.Attitude: ArenaFleet._attitude,
-    c.CutMotors: ArenaFleet._cut_motors,
-    c.Emergency: ArenaFleet._emergency,
-    c.Arm: ArenaFleet._arm,
-    c.UploadTrajectory: ArenaFleet._upload,
-    c.StartTrajectory: ArenaFleet._start,
-    c.SetGroupMask: ArenaFleet._set_group_mask,
-    c.SetParam: ArenaFleet._set_param,
-    c.SetLed: ArenaFleet._set_led,
-    c.CollisionAvoidance: ArenaFleet._collision_avoidance,
-}

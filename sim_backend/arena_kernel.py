@@ -37,7 +37,7 @@ from crazyarena.sim_backend.jit import kernel
 from crazyarena.sim_backend.physics.arena_plant import (
     AB_ACCELERATION,
     AB_CONTACT,
-    AB_ROTOR,
+    AB_FORCE,
     AB_VOLTS,
     GRAVITY,
     arena_step,
@@ -191,7 +191,7 @@ def _trace(row, time, body, memory):
         row[TR_SETPOINT + 6 + i] = sp[SP_ACC + i]
     for i in range(4):
         row[TR_QUAT + i] = body[B_QUAT + i]
-        row[TR_ACTION + i] = body[AB_ROTOR + 3 - i] * body[AB_ROTOR + 3 - i]
+        row[TR_ACTION + i] = body[AB_FORCE + 3 - i]
     yaw = sp[SP_ATT + 2] / _DEG
     if sp[M_QUAT] == MODE_ABS:
         x, y, z, w = sp[SP_QUAT], sp[SP_QUAT + 1], sp[SP_QUAT + 2], sp[SP_QUAT + 3]
@@ -294,7 +294,7 @@ def _wash(bodies, plants, members, count, scratch):
         i = members[a]
         lift = 0.0
         for r in range(4):
-            lift += bodies[i, AB_ROTOR + r] * bodies[i, AB_ROTOR + r]
+            lift += bodies[i, AB_FORCE + r]
         scratch[i, X_LIFT] = lift / (plants[i, P_MASS] * GRAVITY)
         scratch[i, X_WASH] = 0.0
     for a in range(count):

@@ -24,8 +24,7 @@ from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.arena_kernel import DT
 from crazyarena.sim_backend.firmware.supervisor import INFO_LOCKED, SV_STOP
 from crazyarena.sim_backend.physics.arena_plant import (
-    AB_ROTOR,
-    AP_DRAG,
+    AB_FORCE,
     note_acceleration,
 )
 from crazyarena.sim_backend.physics.competition_step import (
@@ -33,9 +32,8 @@ from crazyarena.sim_backend.physics.competition_step import (
     B_POS,
     B_QUAT,
     B_VEL,
-    PLANT_SIZE,
 )
-from crazyarena.sim_backend.physics.rigid_body import P_DRAG, arena_plant
+from crazyarena.sim_backend.physics.rigid_body import FULL_PLANT_SIZE
 from crazyarena.sim_backend.stored_trajectories import StoredTrajectories
 from crazyarena.types import Pose, Telemetry, VehicleContact
 
@@ -197,7 +195,7 @@ class PyBulletFleet(ArenaFleet):
         from crazyarena.sim_backend.physics.pybullet_engine import PyBulletEngine
 
         super().__init__(positions, ids=ids, threads=threads)
-        self._engine = PyBulletEngine(_engine_plants(self.plants), dt=DT, wakes=downwash)
+        self._engine = PyBulletEngine(self.plants[:, :FULL_PLANT_SIZE], dt=DT, wakes=downwash)
         self._engine.reset(self.bodies[:, B_POS : B_POS + 3])
 
     def advance(self, ticks: int, traces: np.ndarray | None = None) -> None:
@@ -207,7 +205,7 @@ class PyBulletFleet(ArenaFleet):
             super().advance(1)
             # Rotors 1..4 are front right, back right, back left, front left; the engine counts
             # from the front left.
-            self._engine.step(np.square(self.bodies[:, AB_ROTOR : AB_ROTOR + 4])[:, ::-1])
+            self._engine.step(self.bodies[:, AB_FORCE : AB_FORCE + 4][:, ::-1])
             for body, moved, (vx, vy, vz) in zip(
                 self.bodies, self._engine.bodies, before, strict=True
             ):
@@ -218,14 +216,6 @@ class PyBulletFleet(ArenaFleet):
     def close(self) -> None:
         super().close()
         self._engine.close()
-
-
-def _engine_plants(plants: np.ndarray) -> np.ndarray:
-    """Rows for a physics engine with the mass, inertia and drag of ``arena`` plant rows."""
-    rows = np.tile(arena_plant(), (len(plants), 1))
-    rows[:, :PLANT_SIZE] = plants[:, :PLANT_SIZE]
-    rows[:, P_DRAG : P_DRAG + 3] = plants[:, AP_DRAG : AP_DRAG + 3]
-    return rows
 
 
 def open_arena(fleet: FleetConfig, clock: Clock, options: SimOptions) -> ArenaBackend:

@@ -67,7 +67,6 @@ class Flight:
         self.body, self.other = BODY, OTHER
         plan = draw_plan(fault, seed)
         self.rng = plan.rng
-        self.plant = plan.plant
         self.mellinger = plan.mellinger
         self.circuit = plan.circuit
         self.onset = plan.struck
@@ -75,7 +74,7 @@ class Flight:
         self.clock = VirtualClock()
         self.fleet = ArenaFleet(
             [plan.start],
-            plant=self.plant,
+            vehicles=plan.vehicle,
             noise=SensorNoise(gyro=0.1, accelerometer=0.005, force=0.0),
             rng=np.random.default_rng([seed, 1]),
         )

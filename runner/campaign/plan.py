@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import random
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crazyarena.runner.campaign.circuit import Circuit
 from crazyarena.runner.campaign.setting import BOOT, CLIMB, ONSET
-from crazyarena.sim_backend.physics.arena_plant import AP_STRENGTH, default_plant
+from crazyarena.sim_backend.physics.arena_plant import AP_STRENGTH
 from crazyarena.sim_backend.physics.competition_step import P_MASS
+from crazyarena.sim_backend.vehicles import Rows, default_rows
 
 Array = NDArray[np.float64]
 
@@ -23,7 +24,7 @@ class Plan:
     Attributes
     ----------
     seed: what it was drawn with.
-    start: (3,) m; plant: row of the vehicle.
+    start: (3,) m; vehicle: rows of the vehicle.
     mellinger: which of the firmware's controllers flies.
     circuit: the contestant's flight.
     struck: s on the clock of the campaign in virtual time, when the fault sets in.
@@ -32,7 +33,7 @@ class Plan:
 
     seed: int
     start: Array
-    plant: Array
+    vehicle: Rows
     mellinger: bool
     circuit: Circuit
     struck: float
@@ -48,7 +49,8 @@ def draw_plan(fault: str, seed: int) -> Plan:
     """The same flight for the same fault and seed, in virtual time and over UDP."""
     rng = random.Random(f"{fault}/{seed}")
     start = np.array([rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5), 0.03])
-    plant = default_plant()
+    vehicle = default_rows()
+    plant = vehicle.plant.copy()
     plant[P_MASS] *= rng.uniform(0.95, 1.1)
     plant[AP_STRENGTH : AP_STRENGTH + 4] = [rng.uniform(0.95, 1.05) for _ in range(4)]
     # One flight in four with the firmware's other controller, which is slower.
@@ -57,4 +59,5 @@ def draw_plan(fault: str, seed: int) -> Plan:
     climb = CLIMB if mellinger else 2.0 * CLIMB
     circuit = Circuit(start, rng, speed, climb)
     struck = rng.uniform(*ONSET) + climb - CLIMB
-    return Plan(seed, start, plant, mellinger, circuit, struck, rng)
+    vehicle = replace(vehicle, plant=plant)
+    return Plan(seed, start, vehicle, mellinger, circuit, struck, rng)

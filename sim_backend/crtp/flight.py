@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from crazyarena.sim_backend.arena import PARAMS, ArenaFleet
+from crazyarena.sim_backend.arena import ArenaFleet
+from crazyarena.sim_backend.arena_params import PARAMS
 from crazyarena.sim_backend.firmware import commander as cm
 from crazyarena.sim_backend.firmware import stack_2026
 from crazyarena.sim_backend.firmware import supervisor as sv

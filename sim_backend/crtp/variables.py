@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from crazyarena.sim_backend.arena import VehicleRows
+from crazyarena.sim_backend.arena_rows import VehicleRows
 from crazyarena.sim_backend.crtp.setpoints import compress_quaternion
 from crazyarena.sim_backend.firmware import kalman as ka
 from crazyarena.sim_backend.firmware import layout as la

@@ -169,17 +169,17 @@ class VirtualCrazyflie:
         """
         if not 3.0 <= volts <= 4.2:
             raise ValueError(f"battery {volts} V: a single cell has 3.0 to 4.2 V")
+        rows = self.flight.rows
         low, high = 0.0, 1.0
         for _ in range(50):
             middle = 0.5 * (low + high)
-            if open_circuit_volts(middle) > volts:
+            if open_circuit_volts(rows.plant, middle) > volts:
                 low = middle
             else:
                 high = middle
-        rows = self.flight.rows
         rows.body[AB_CHARGE] = high * rows.plant[AP_CAPACITY]
         # A parked vehicle draws no current, so that nothing would bring this up to date.
-        rows.body[AB_VOLTS] = open_circuit_volts(high)
+        rows.body[AB_VOLTS] = open_circuit_volts(rows.plant, high)
 
     def _read(self, ident: int) -> float:
         getter = self._getters[ident]

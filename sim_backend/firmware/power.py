@@ -11,6 +11,7 @@ on the 0..65535 scale, kept as whole numbers in float64.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -24,23 +25,19 @@ IDLE_THRUST = 0
 MOTORS = 4
 FULL_SCALE = 65535.0
 
-# 2026, Crazyflie 2.1+ propellers.
-MAX_MOTOR_FORCE = 0.12  # N, at full scale
-MAX_TOTAL_THRUST = MOTORS * MAX_MOTOR_FORCE  # N
-ARM_LENGTH = 0.707106781 * 0.046  # m, from a motor to the x (and y) axis
-THRUST_TO_TORQUE = 0.0069928949  # m, reaction torque per thrust
-_MIN_FORCE = 0.012817578  # N: below it the fit of the volts does not hold, the motor is off
+# Platform row: what a build of the 2026 firmware takes its vehicle for.
+PF_MAX_FORCE = 0  # N of one motor, at full scale
+PF_MIN_FORCE = 1  # N: below it the fit of the volts does not hold, the motor is off
+PF_ARM = 2  # m, from a motor to the x (and y) axis
+PF_TORQUE = 3  # m, reaction torque per thrust
+PF_THRUST = 4  # static thrust (N) of one motor over its voltage: c0 .. c3
+# With v = t + shift the cubic is t^3 + linear t = force/c3 - constant.
+PF_SHIFT = 8
+PF_LINEAR = 9
+PF_CONSTANT = 10
+PLATFORM_SIZE = 11
+
 _MIN_SUPPLY = 2.0  # V
-# Static thrust of one motor as a cubic of its voltage.
-_THRUST_0 = -0.024765379
-_THRUST_1 = 0.065237935
-_THRUST_2 = -0.026792505
-_THRUST_3 = 0.0067767893
-# With v = t + _SHIFT it is t^3 + _LINEAR t = force/_THRUST_3 - _CONSTANT; _LINEAR is positive,
-# so that it rises everywhere and has one inverse.
-_SHIFT = -_THRUST_2 / (3.0 * _THRUST_3)
-_LINEAR = _THRUST_1 / _THRUST_3 - _THRUST_2**2 / (3.0 * _THRUST_3**2)
-_CONSTANT = _THRUST_0 / _THRUST_3 + _THRUST_1 / _THRUST_3 * _SHIFT - 2.0 * _SHIFT**3
 
 # Competition software.
 COMPETITION_KF = 3.16e-10  # N/rpm^2
@@ -48,6 +45,35 @@ COMPETITION_PWM_TO_RPM = 0.2685
 COMPETITION_RPM_OFFSET = 4070.3
 COMPETITION_MIN_PWM = 20000.0
 _COMPETITION_SUPPLY = 3.0  # V
+
+
+def platform_row(
+    thrust: Sequence[float], max_force: float, min_force: float, arm: float, torque: float
+) -> np.ndarray:
+    """Platform row of a firmware build.
+
+    Parameters
+    ----------
+    thrust
+        (4,) static thrust (N) of one motor as a cubic of its volts, ascending powers; it must
+        rise from the voltage of ``min_force`` on.
+    max_force, min_force
+        N of one motor.
+    arm
+        m, from the centre to a motor.
+    torque
+        m, reaction torque per thrust.
+    """
+    c0, c1, c2, c3 = thrust
+    row = np.zeros(PLATFORM_SIZE)
+    row[PF_MAX_FORCE], row[PF_MIN_FORCE] = max_force, min_force
+    row[PF_ARM], row[PF_TORQUE] = 0.707106781 * arm, torque
+    row[PF_THRUST : PF_THRUST + 4] = thrust
+    shift = -c2 / (3.0 * c3)
+    row[PF_SHIFT] = shift
+    row[PF_LINEAR] = c1 / c3 - c2**2 / (3.0 * c3**2)
+    row[PF_CONSTANT] = c0 / c3 + c1 / c3 * shift - 2.0 * shift**3
+    return row
 
 
 @kernel
@@ -107,36 +133,43 @@ def compensate_2022(supply: float, motors: np.ndarray) -> None:
 
 
 @kernel
-def motor_volts_2026(force: float) -> float:
+def motor_volts_2026(platform: np.ndarray, force: float) -> float:
     """Voltage at which one motor lifts ``force`` newton (inverse of the cubic fit)."""
-    # Newton's method; the guess is within a few percent for the forces of a flight.
-    target = force / _THRUST_3 - _CONSTANT
-    t = target / (_LINEAR + 0.233 * abs(target))
+    linear = platform[PF_LINEAR]
+    target = force / platform[PF_THRUST + 3] - platform[PF_CONSTANT]
+    # Newton's method from within a few percent for the forces of a flight; where the cubic does
+    # not rise everywhere, from above its largest root, from where it cannot miss.
+    if linear > 0.0:
+        t = target / (linear + 0.233 * abs(target))
+    else:
+        t = np.cbrt(max(target, 0.0)) + math.sqrt(-linear)
     for _ in range(100):
-        step = (t * (t * t + _LINEAR) - target) / (3.0 * t * t + _LINEAR)
+        step = (t * (t * t + linear) - target) / (3.0 * t * t + linear)
         t -= step
         if not abs(step) > 1e-8 * (1.0 + abs(t)):
             break
-    return t + _SHIFT
+    return t + platform[PF_SHIFT]
 
 
 @kernel
-def compensate_2026(supply: float, motors: np.ndarray) -> None:
+def compensate_2026(platform: np.ndarray, supply: float, motors: np.ndarray) -> None:
     """Battery compensation of the 2026 firmware, before capping; may exceed 65535.
 
     Parameters
     ----------
+    platform
+        Row of :func:`platform_row`.
     supply
         Low-passed battery voltage, see :func:`filter_supply`.
     motors
         Whole-numbered commands, changed in place.
     """
     for i in range(MOTORS):
-        force = motors[i] / FULL_SCALE * MAX_MOTOR_FORCE
-        if force < _MIN_FORCE or supply < _MIN_SUPPLY:
+        force = motors[i] / FULL_SCALE * platform[PF_MAX_FORCE]
+        if force < platform[PF_MIN_FORCE] or supply < _MIN_SUPPLY:
             motors[i] = 0.0
         else:
-            motors[i] = _whole(FULL_SCALE * (motor_volts_2026(force) / supply))
+            motors[i] = _whole(FULL_SCALE * (motor_volts_2026(platform, force) / supply))
 
 
 @kernel
@@ -162,28 +195,35 @@ def cap_2026(motors: np.ndarray, idle: float) -> bool:
 
 
 @kernel
-def distribute_2026(control: np.ndarray, supply: float, idle: float, motors: np.ndarray) -> bool:
+def distribute_2026(
+    platform: np.ndarray, control: np.ndarray, supply: float, idle: float, motors: np.ndarray
+) -> bool:
     """Whole 2026 chain: mixed, battery compensated, capped; True when capped."""
     mix(control, motors)
-    compensate_2026(supply, motors)
+    compensate_2026(platform, supply, motors)
     return cap_2026(motors, idle)
 
 
 @kernel
 def mix_force_torque_2026(
-    thrust: float, torque_x: float, torque_y: float, torque_z: float, motors: np.ndarray
+    platform: np.ndarray,
+    thrust: float,
+    torque_x: float,
+    torque_y: float,
+    torque_z: float,
+    motors: np.ndarray,
 ) -> None:
     """Uncapped commands of the force/torque mode: newton, newton metre."""
     part = 0.25 * thrust
-    roll = 0.25 * torque_x / ARM_LENGTH
-    pitch = 0.25 * torque_y / ARM_LENGTH
-    yaw = 0.25 * torque_z / THRUST_TO_TORQUE
+    roll = 0.25 * torque_x / platform[PF_ARM]
+    pitch = 0.25 * torque_y / platform[PF_ARM]
+    yaw = 0.25 * torque_z / platform[PF_TORQUE]
     motors[0] = part - roll - pitch - yaw
     motors[1] = part - roll + pitch + yaw
     motors[2] = part + roll + pitch - yaw
     motors[3] = part + roll - pitch + yaw
     for i in range(MOTORS):
-        motors[i] = _whole(max(motors[i], 0.0) / MAX_MOTOR_FORCE * FULL_SCALE)
+        motors[i] = _whole(max(motors[i], 0.0) / platform[PF_MAX_FORCE] * FULL_SCALE)
 
 
 @kernel

@@ -78,7 +78,8 @@ F_PID = F_MELLINGER + mellinger.MEM_SIZE
 F_AVOIDANCE = F_PID + pid.MEM_SIZE
 F_KALMAN = F_AVOIDANCE + collision_avoidance.MEMORY_SIZE
 F_HIGH_LEVEL = F_KALMAN + kalman.KALMAN_SIZE
-FIRMWARE_SIZE = F_HIGH_LEVEL + high_level.HIGH_LEVEL_SIZE
+F_PLATFORM = F_HIGH_LEVEL + high_level.HIGH_LEVEL_SIZE  # what it takes its vehicle for
+FIRMWARE_SIZE = F_PLATFORM + power.PLATFORM_SIZE
 
 GYRO_CUTOFF, ACCELEROMETER_CUTOFF = 80.0, 30.0  # Hz
 _GYRO_FILTER = np.zeros(lowpass.COEF_SIZE)
@@ -88,8 +89,11 @@ lowpass.coefficients.py_func(1000.0, ACCELEROMETER_CUTOFF, _ACCEL_FILTER)
 _FULL_BATTERY = 4.2
 
 
-def firmware_memory(auto_arm: bool = True) -> np.ndarray:
-    """Memory row of a vehicle that has just booted at firmware time 0."""
+def firmware_memory(platform: np.ndarray, auto_arm: bool = True) -> np.ndarray:
+    """Memory row of a vehicle that has just booted at firmware time 0.
+
+    ``platform`` is what its build takes the vehicle for, see :func:`.power.platform_row`.
+    """
     memory = np.zeros(FIRMWARE_SIZE)
     memory[F_SUPPLY] = _FULL_BATTERY
     memory[F_CONTROLLER] = PID
@@ -98,7 +102,8 @@ def firmware_memory(auto_arm: bool = True) -> np.ndarray:
     memory[F_AVOIDANCE:F_KALMAN] = collision_avoidance.new_memory()
     memory[F_KALMAN:F_HIGH_LEVEL] = kalman.kalman_memory()
     kalman.kalman_init(memory[F_KALMAN:F_HIGH_LEVEL], default_row(kalman.PARAMS, 2026), 0.0)
-    memory[F_HIGH_LEVEL:] = high_level.new_memory(2026)
+    memory[F_HIGH_LEVEL:F_PLATFORM] = high_level.new_memory(2026)
+    memory[F_PLATFORM:] = platform
     return memory
 
 
@@ -147,14 +152,14 @@ def offer_setpoint(memory, setpoint, priority):
         memory[F_COMMANDER:F_MELLINGER], setpoint, priority, memory[F_TICK]
     )
     if answer == commander.ACCEPTED_STOP_PLANNER:
-        high_level.stop(memory[F_HIGH_LEVEL:])
+        high_level.stop(memory[F_HIGH_LEVEL:F_PLATFORM])
     return answer
 
 
 @kernel
 def notify_setpoints_stop(memory):
     """Let the high-level commander take over from the present estimate."""
-    high_level.tell_state(memory[F_HIGH_LEVEL:], memory[F_STATE:F_SETPOINT])
+    high_level.tell_state(memory[F_HIGH_LEVEL:F_PLATFORM], memory[F_STATE:F_SETPOINT])
     commander.commander_relax(memory[F_COMMANDER:F_MELLINGER])
 
 
@@ -195,7 +200,7 @@ def finish_tick(memory, params, trajectories, peer_table, peers, faces, volts):
     now_ms = memory[F_TICK]
     tick = int(now_ms)
     state, setpoint = memory[F_STATE:F_SETPOINT], memory[F_SETPOINT:F_CONTROL]
-    planner = memory[F_HIGH_LEVEL:]
+    planner = memory[F_HIGH_LEVEL:F_PLATFORM]
     guard = memory[F_SUPERVISOR:F_COMMANDER]
     motors = memory[F_MOTORS:F_SUPPLY]
     estimator = memory[F_KALMAN:F_HIGH_LEVEL]
@@ -249,7 +254,9 @@ def finish_tick(memory, params, trajectories, peer_table, peers, faces, volts):
 
     memory[F_SUPPLY] = power.filter_supply(memory[F_SUPPLY], volts)
     if supervisor.supervisor_motors_allowed(guard):
-        power.distribute_2026(memory[F_CONTROL:F_MOTORS], memory[F_SUPPLY], idle, motors)
+        power.distribute_2026(
+            memory[F_PLATFORM:], memory[F_CONTROL:F_MOTORS], memory[F_SUPPLY], idle, motors
+        )
     else:
         for i in range(4):
             motors[i] = 0.0

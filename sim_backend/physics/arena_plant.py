@@ -1,16 +1,16 @@
-"""The plant of the ``arena`` profile: a Crazyflie 2.1 with its battery and brushed motors.
+"""The plant of the ``arena`` profile: a small quadrotor with its battery and its motors.
 
-A motor's steady thrust follows its voltage by the same cubic that the 2026 firmware inverts to
-compensate the battery; its speed (the root of its thrust) follows with a first-order lag. The
-battery sags with its inner resistance and empties along a line with a knee. The rest is the
-rigid body of ``rigid_body.py``, whose rows these rows extend.
+A motor's steady thrust follows its voltage by a cubic; the speed of its rotor (the root of that
+thrust) follows with a first-order lag, which may differ for speeding up and slowing down. Rotors
+carry angular momentum: turning the body against it and changing it both give torques. The
+battery sags with its inner resistance and empties along a table of open-circuit voltages. The
+rest is the rigid body of ``rigid_body.py``, whose rows these rows extend. All numbers are the
+vehicle's: ``sim_backend/vehicles``.
 """
 
 from __future__ import annotations
 
 import math
-
-import numpy as np
 
 from crazyarena.sim_backend.firmware.power import FULL_SCALE
 from crazyarena.sim_backend.jit import kernel
@@ -19,68 +19,55 @@ from crazyarena.sim_backend.physics.geometry import NO_CONTACT
 from crazyarena.sim_backend.physics.rigid_body import (
     FULL_PLANT_SIZE,
     P_DRAG,
-    arena_plant,
     step,
 )
 
 GRAVITY = 9.81
 
 # Body row, after the competition plant's.
-AB_ROTOR = BODY_SIZE  # root of the thrust of M1..M4, sqrt(N)
-AB_ACCELERATION = BODY_SIZE + 4  # m/s2, specific force, body axes
-AB_CHARGE = BODY_SIZE + 7  # A s drawn from the battery so far
-AB_VOLTS = BODY_SIZE + 8  # V, at the terminals
-AB_CONTACT = BODY_SIZE + 9  # contact code of the last tick
-AB_REST = BODY_SIZE + 10  # ticks that the vehicle has lain still
-ARENA_BODY_SIZE = BODY_SIZE + 11
+AB_ROTOR = BODY_SIZE  # speed of M1..M4 as the root of their nominal thrust, sqrt(N)
+AB_FORCE = BODY_SIZE + 4  # N, thrust of M1..M4
+AB_ACCELERATION = BODY_SIZE + 8  # m/s2, specific force, body axes
+AB_CHARGE = BODY_SIZE + 11  # A s drawn from the battery so far
+AB_VOLTS = BODY_SIZE + 12  # V, at the terminals
+AB_CONTACT = BODY_SIZE + 13  # contact code of the last tick
+AB_REST = BODY_SIZE + 14  # ticks that the vehicle has lain still
+ARENA_BODY_SIZE = BODY_SIZE + 15
 
 # Plant row, after the rigid body's.
+OPEN_POINTS = 21  # equal steps of the share drawn, 0 to 1
 AP_DRAG = P_DRAG  # kg/s, body x, y, z
-AP_LAG = FULL_PLANT_SIZE  # s, time constant of the rotor speed
-AP_STRENGTH = FULL_PLANT_SIZE + 1  # thrust of M1..M4 relative to the nominal one
-AP_CAPACITY = FULL_PLANT_SIZE + 5  # A s
-AP_RESISTANCE = FULL_PLANT_SIZE + 6  # Ohm
-AP_CURRENT = FULL_PLANT_SIZE + 7  # A per N^1.5 of thrust
-AP_IDLE_CURRENT = FULL_PLANT_SIZE + 8  # A
-ARENA_PLANT_SIZE = FULL_PLANT_SIZE + 9
-
-# Steady thrust (N) of one motor over its voltage, ascending powers: what 2.1+ propellers do, and
-# what the firmware's compensation assumes; AP_STRENGTH sets them apart.
-_THRUST = (-0.024765379, 0.065237935, -0.026792505, 0.0067767893)
+AP_LAG_UP = FULL_PLANT_SIZE  # s, time constant of the rotor speed when it rises
+AP_LAG_DOWN = FULL_PLANT_SIZE + 1  # s, and when it falls
+AP_STRENGTH = FULL_PLANT_SIZE + 2  # thrust of M1..M4 relative to the nominal one
+AP_THRUST = FULL_PLANT_SIZE + 6  # nominal thrust (N) over volts: c0 + c1 v + c2 v^2 + c3 v^3
+AP_CAPACITY = FULL_PLANT_SIZE + 10  # A s
+AP_RESISTANCE = FULL_PLANT_SIZE + 11  # Ohm
+AP_CURRENT = FULL_PLANT_SIZE + 12  # A per N^1.5 of nominal thrust
+AP_IDLE_CURRENT = FULL_PLANT_SIZE + 13  # A
+AP_MOMENTUM = FULL_PLANT_SIZE + 14  # kg m2/s, of a rotor per sqrt(N) of its speed
+AP_OPEN = FULL_PLANT_SIZE + 15  # V, without load, at OPEN_POINTS shares drawn
+ARENA_PLANT_SIZE = FULL_PLANT_SIZE + 15 + OPEN_POINTS
 
 _REST_TICKS = 100.0
 _REST_SPEED = 1e-4  # m/s, also sqrt(N) of a rotor
 _REST_ARM = 0.06  # m, turns a rate into a speed
-_FULL_VOLTS, _KNEE_VOLTS, _EMPTY_VOLTS = 4.2, 3.7, 3.0
-_KNEE = 0.85  # share of the charge drawn at the knee
-
-
-def default_plant() -> np.ndarray:
-    """Plant row of a Crazyflie 2.1 with markers, 31.9 g, and a fresh 250 mAh battery."""
-    plant = np.zeros(ARENA_PLANT_SIZE)
-    plant[:FULL_PLANT_SIZE] = arena_plant()
-    plant[AP_LAG] = 0.03
-    plant[AP_STRENGTH : AP_STRENGTH + 4] = 1.0
-    plant[AP_CAPACITY] = 0.25 * 3600.0
-    plant[AP_RESISTANCE] = 0.12
-    plant[AP_CURRENT] = 21.0
-    plant[AP_IDLE_CURRENT] = 0.1
-    return plant
 
 
 @kernel
-def open_circuit_volts(drawn):
-    """Battery voltage without load after a share ``drawn`` of its charge."""
-    if drawn < _KNEE:
-        return _FULL_VOLTS + (_KNEE_VOLTS - _FULL_VOLTS) * drawn / _KNEE
-    rest = min((drawn - _KNEE) / (1.0 - _KNEE), 1.0)
-    return _KNEE_VOLTS + (_EMPTY_VOLTS - _KNEE_VOLTS) * rest
+def open_circuit_volts(plant, drawn):
+    """Battery voltage without load after a share ``drawn`` of its charge, held beyond 0 and 1."""
+    at = min(max(drawn, 0.0), 1.0) * (OPEN_POINTS - 1.0)
+    i = min(int(at), OPEN_POINTS - 2)
+    low, high = plant[AP_OPEN + i], plant[AP_OPEN + i + 1]
+    return low + (at - i) * (high - low)
 
 
 @kernel
-def thrust_of_volts(volts):
-    """Steady thrust (N) of one motor."""
-    return max(0.0, _THRUST[0] + volts * (_THRUST[1] + volts * (_THRUST[2] + volts * _THRUST[3])))
+def thrust_of_volts(plant, volts):
+    """Steady nominal thrust (N) of one motor."""
+    c0, c1, c2 = plant[AP_THRUST], plant[AP_THRUST + 1], plant[AP_THRUST + 2]
+    return max(0.0, c0 + volts * (c1 + volts * (c2 + volts * plant[AP_THRUST + 3])))
 
 
 @kernel
@@ -94,24 +81,42 @@ def arena_step(body, plant, motors, fx, fy, fz, dt):
     fx, fy, fz: N, world, a disturbance force at the centre of mass.
     """
     volts = body[AB_VOLTS]
-    follow = 1.0 - math.exp(-dt / plant[AP_LAG]) if plant[AP_LAG] > 0.0 else 1.0
+    up, down = plant[AP_LAG_UP], plant[AP_LAG_DOWN]
+    rise = 1.0 - math.exp(-dt / up) if up > 0.0 else 1.0
+    fall = rise
+    if down != up:
+        fall = 1.0 - math.exp(-dt / down) if down > 0.0 else 1.0
     current = plant[AP_IDLE_CURRENT]
+    spin, faster = 0.0, 0.0  # sqrt(N): sum of the speeds about +z, and of their changes
     for i in range(4):
-        target = plant[AP_STRENGTH + i] * thrust_of_volts(motors[i] / FULL_SCALE * volts)
         speed = body[AB_ROTOR + i]
-        speed += follow * (math.sqrt(target) - speed)
+        wanted = math.sqrt(thrust_of_volts(plant, motors[i] / FULL_SCALE * volts)) - speed
+        change = (rise if wanted > 0.0 else fall) * wanted
+        speed += change
         body[AB_ROTOR + i] = speed
+        body[AB_FORCE + i] = plant[AP_STRENGTH + i] * speed * speed
+        # A weak motor draws what a strong one does.
         current += plant[AP_CURRENT] * speed * speed * speed
+        sense = 1.0 if i % 2 == 0 else -1.0
+        spin += sense * speed
+        faster += sense * change
     body[AB_CHARGE] += dt * current
     body[AB_VOLTS] = (
-        open_circuit_volts(body[AB_CHARGE] / plant[AP_CAPACITY]) - plant[AP_RESISTANCE] * current
+        open_circuit_volts(plant, body[AB_CHARGE] / plant[AP_CAPACITY])
+        - plant[AP_RESISTANCE] * current
     )
-
-    f1 = body[AB_ROTOR] * body[AB_ROTOR]
-    f2 = body[AB_ROTOR + 1] * body[AB_ROTOR + 1]
-    f3 = body[AB_ROTOR + 2] * body[AB_ROTOR + 2]
-    f4 = body[AB_ROTOR + 3] * body[AB_ROTOR + 3]
-    step(body, plant, f4, f3, f2, f1, fx, fy, fz, 0.0, 0.0, 0.0, dt)
+    # What the rotors' momentum h about z does to the body: -w x h - dh/dt.
+    momentum = plant[AP_MOMENTUM]
+    tx = -momentum * spin * body[B_OMEGA + 1]
+    ty = momentum * spin * body[B_OMEGA]
+    tz = -momentum * faster / dt
+    f1, f2, f3, f4 = (
+        body[AB_FORCE],
+        body[AB_FORCE + 1],
+        body[AB_FORCE + 2],
+        body[AB_FORCE + 3],
+    )
+    step(body, plant, f4, f3, f2, f1, fx, fy, fz, tx, ty, tz, dt)
 
 
 @kernel

@@ -8,6 +8,8 @@ semi-implicit Euler: velocities first, then pose with the new velocities. Body r
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,30 +38,31 @@ FULL_PLANT_SIZE = PLANT_SIZE + 7
 
 def competition_plant() -> NDArray[np.float64]:
     """Nominal plant of the IROS 2022 competition."""
-    return _plant(0.03454, (1.4e-5, 1.4e-5, 2.17e-5), GRAVITY, ROTOR_OFFSET, KM / KF, (0, 0, 0))
-
-
-def arena_plant() -> NDArray[np.float64]:
-    """A Crazyflie 2.1 with its motion-capture markers.
-
-    Arm and yaw torque are those today's firmware assumes; inertia and rotor drag are Förster's,
-    the drag taken at hover.
-    """
-    return _plant(
-        0.0319,
-        (1.657e-5, 1.666e-5, 2.926e-5),
-        9.81,
-        0.0325,
-        0.0069928949,
-        (0.0057, 0.0057, 0.0064),
+    return plant_row(
+        0.03454,
+        (1.4e-5, 1.4e-5, 2.17e-5),
+        GRAVITY,
+        (ROTOR_OFFSET, ROTOR_OFFSET),
+        KM / KF,
+        (0.0, 0.0, 0.0),
     )
 
 
-def _plant(mass, inertia, gravity, rotor, yaw, drag) -> NDArray[np.float64]:
+def plant_row(
+    mass: float,
+    inertia: Sequence[float],
+    gravity: float,
+    arm: Sequence[float],
+    yaw: float,
+    drag: Sequence[float],
+) -> NDArray[np.float64]:
+    """Plant row: mass kg, inertia (3,) kg m^2, gravity m/s2, arm (2,) m of the rotors along x and
+    y, yaw torque N m per N of thrust, drag (3,) N per m/s in body axes."""
     row = np.zeros(FULL_PLANT_SIZE)
     row[P_MASS] = mass
     row[P_INERTIA : P_INERTIA + 3] = inertia
-    row[P_GRAVITY], row[P_ROTOR_X], row[P_ROTOR_Y], row[P_YAW] = gravity, rotor, rotor, yaw
+    row[P_GRAVITY], row[P_YAW] = gravity, yaw
+    row[P_ROTOR_X], row[P_ROTOR_Y] = arm
     row[P_DRAG : P_DRAG + 3] = drag
     return row
 

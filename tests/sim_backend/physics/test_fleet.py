@@ -8,7 +8,10 @@ from hypothesis import strategies as st
 from crazyarena.sim_backend.physics import competition_step as c
 from crazyarena.sim_backend.physics import fleet
 from crazyarena.sim_backend.physics.geometry import VEHICLE_REACH, make_workspace
-from crazyarena.sim_backend.physics.rigid_body import P_MASS, arena_plant, competition_plant
+from crazyarena.sim_backend.physics.rigid_body import FULL_PLANT_SIZE, P_MASS, competition_plant
+from crazyarena.sim_backend.vehicles import default_rows
+
+ARENA_PLANT = default_rows().plant[:FULL_PLANT_SIZE]
 
 
 def row_of(positions):
@@ -30,7 +33,7 @@ def test_contacts_keep_momentum_and_never_add_approach(positions, seed):
     bodies = row_of(positions)
     rng = np.random.default_rng(seed)
     bodies[:, c.B_VEL : c.B_VEL + 3] = rng.normal(0, 1, (len(bodies), 3))
-    plants = np.array([arena_plant() if k % 2 else competition_plant() for k in range(len(bodies))])
+    plants = np.array([ARENA_PLANT if k % 2 else competition_plant() for k in range(len(bodies))])
     masses = plants[:, P_MASS]
     before = masses @ bodies[:, c.B_VEL : c.B_VEL + 3]
     partner = np.zeros(len(bodies), np.int64)
@@ -46,7 +49,7 @@ def test_contacts_keep_momentum_and_never_add_approach(positions, seed):
 def test_every_close_pair_of_a_large_fleet_is_found():
     rng = np.random.default_rng(8)
     bodies = row_of(rng.uniform(-1, 1, (100, 3)) * [3, 3, 0])  # all level, in one plane
-    plants = np.tile(arena_plant(), (100, 1))
+    plants = np.tile(ARENA_PLANT, (100, 1))
     partner = np.zeros(100, np.int64)
     pairs = fleet.vehicle_contacts(bodies, plants, 0.001, partner, make_workspace())
     at = bodies[:, c.B_POS : c.B_POS + 2]

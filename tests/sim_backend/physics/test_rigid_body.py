@@ -8,7 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from crazyarena.sim_backend.physics import competition_step as c
 from crazyarena.sim_backend.physics import rigid_body as rb
+from crazyarena.sim_backend.vehicles import default_rows
 
+ARENA_PLANT = default_rows().plant[: rb.FULL_PLANT_SIZE]
 rate = st.floats(-30.0, 30.0)
 
 
@@ -23,7 +25,7 @@ def body_at(omega=(0, 0, 0), velocity=(0, 0, 0), rpy=(0, 0, 0)):
 @given(st.tuples(rate, rate, rate))
 @settings(max_examples=25, deadline=None)
 def test_torque_free_motion_keeps_angular_momentum(omega):
-    plant = rb.arena_plant()
+    plant = ARENA_PLANT
     body = body_at(omega)
     inertia = plant[rb.P_INERTIA : rb.P_INERTIA + 3]
 
@@ -48,14 +50,14 @@ def test_torque_free_motion_keeps_angular_momentum(omega):
 )
 def test_rotors_turn_the_vehicle_the_right_way(rotors, axis, sign):
     body = body_at()
-    rb.step(body, rb.arena_plant(), *(0.05 * np.array(rotors, float)), *np.zeros(6), 0.001)
+    rb.step(body, ARENA_PLANT, *(0.05 * np.array(rotors, float)), *np.zeros(6), 0.001)
     turned = body[c.B_OMEGA : c.B_OMEGA + 3]
     assert np.sign(turned[axis]) == sign
     assert np.abs(np.delete(turned, axis)).max() < 1e-12
 
 
 def test_drag_gives_a_terminal_speed():
-    plant = rb.arena_plant()
+    plant = ARENA_PLANT
     body = body_at()
     for _ in range(40000):
         rb.step(body, plant, *np.zeros(4), *np.zeros(6), 0.001)
