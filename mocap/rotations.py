@@ -81,3 +81,38 @@ def euler_xyz(quaternion: Vector) -> tuple[float, float, float]:
     if level < _LOCKED:
         return 0.0, b, math.atan2(m[1, 0], m[1, 1])
     return math.atan2(-m[1, 2], m[2, 2]), b, math.atan2(-m[0, 1], m[0, 0])
+
+
+def kabsch(model: Vector, measured: Vector, weight: Vector) -> tuple[Vector, Vector]:
+    """Rotations (b, 3, 3) and translations (b, 3) that carry model points to measured ones.
+
+    model, measured: (b, k, 3); weight: (b, k), 1 for matched points and 0 for others.
+    """
+    total = weight.sum(axis=1)[:, None]
+    model_mean = np.einsum("bk,bkj->bj", weight, model) / total
+    measured_mean = np.einsum("bk,bkj->bj", weight, measured) / total
+    a = (model - model_mean[:, None]) * weight[:, :, None]
+    b = measured - measured_mean[:, None]
+    u, _, vt = np.linalg.svd(np.einsum("bki,bkj->bij", a, b))
+    sign = np.ones((len(u), 3))
+    sign[:, 2] = np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    rotation = np.einsum("bji,bj,bkj->bik", vt, sign, u)
+    return rotation, measured_mean - np.einsum("bij,bj->bi", rotation, model_mean)
+
+
+def turning(rotation: Vector) -> Vector:
+    """Angle of rotation matrices (..., 3, 3), rad."""
+    trace = np.trace(rotation, axis1=-2, axis2=-1)
+    return np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
+
+
+def exponential(vectors: Vector) -> Vector:
+    """Rotation matrices (b, 3, 3) of rotation vectors (b, 3) (Rodrigues)."""
+    angle = np.linalg.norm(vectors, axis=1)
+    safe = np.maximum(angle, 1e-12)
+    x, y, z = (vectors / safe[:, None]).T
+    zero = np.zeros_like(x)
+    k = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+    sine = np.sin(angle)[:, None, None]
+    versine = (1.0 - np.cos(angle))[:, None, None]
+    return np.eye(3) + sine * k + versine * (k @ k)

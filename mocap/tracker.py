@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from crazyarena.errors import InputError
-from crazyarena.mocap.rotations import quaternion_of, rotate
+from crazyarena.mocap.rotations import exponential, kabsch, quaternion_of, rotate, turning
 from crazyarena.mocap.tracker_kernels import greedy_match
 from crazyarena.types import Pose, PoseFrame, Vector
 
@@ -259,29 +259,6 @@ class SingleMarkerTracker:
         return TrackResult(poses, self.states, tuple(changes), cloud[rest])
 
 
-def _kabsch(model: Vector, measured: Vector, weight: Vector) -> tuple[Vector, Vector]:
-    """Rotations (b, 3, 3) and translations (b, 3) that carry model points to measured ones.
-
-    model, measured: (b, k, 3); weight: (b, k), 1 for matched points and 0 for others.
-    """
-    total = weight.sum(axis=1)[:, None]
-    model_mean = np.einsum("bk,bkj->bj", weight, model) / total
-    measured_mean = np.einsum("bk,bkj->bj", weight, measured) / total
-    a = (model - model_mean[:, None]) * weight[:, :, None]
-    b = measured - measured_mean[:, None]
-    u, _, vt = np.linalg.svd(np.einsum("bki,bkj->bij", a, b))
-    sign = np.ones((len(u), 3))
-    sign[:, 2] = np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    rotation = np.einsum("bji,bj,bkj->bik", vt, sign, u)
-    return rotation, measured_mean - np.einsum("bij,bj->bi", rotation, model_mean)
-
-
-def _turn(rotation: Vector) -> Vector:
-    """Angle of rotation matrices (..., 3, 3), rad."""
-    trace = np.trace(rotation, axis1=-2, axis2=-1)
-    return np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
-
-
 class ConstellationTracker:
     """Follow vehicles that carry known arrangements of three or more markers.
 
@@ -383,7 +360,7 @@ class ConstellationTracker:
             if not enough.any():
                 break
             picked = cloud[np.maximum(match, 0)]
-            new_rotation, new_position = _kabsch(model[enough], picked[enough], weight[enough])
+            new_rotation, new_position = kabsch(model[enough], picked[enough], weight[enough])
             rotation[enough] = new_rotation
             position[enough] = new_position
             rest = np.einsum("bij,bkj->bki", rotation, model) + position[:, None] - picked
@@ -398,7 +375,7 @@ class ConstellationTracker:
         cloud = np.ascontiguousarray(np.asarray(markers, dtype=float).reshape(-1, 3))
         if dt > 0:
             motion.predict(dt)
-            self._rotation = self._rotation @ _exponential(self._spin * dt)
+            self._rotation = self._rotation @ exponential(self._spin * dt)
         count = len(self.names)
         seen = np.zeros(count, dtype=bool)
         used = np.zeros(len(cloud), dtype=bool)
@@ -416,7 +393,7 @@ class ConstellationTracker:
             rotation, position, fitness, match, _ = self._register(
                 cloud, before, motion.state[steady, 0], steady, np.minimum(gates[steady], 0.08)
             )
-            turn = _turn(np.einsum("bji,bjk->bik", before, rotation))
+            turn = turning(np.einsum("bji,bjk->bik", before, rotation))
             tilt = np.arccos(np.clip(rotation[:, 2, 2], -1.0, 1.0))
             good = (fitness <= config.max_fitness) & (turn <= config.max_turn)
             good &= tilt <= config.max_tilt
@@ -497,18 +474,6 @@ class ConstellationTracker:
         self._rotation[i] = rotation[0]
         seen[i] = True
         used[near[match[0][match[0] >= 0]]] = True
-
-
-def _exponential(vectors: Vector) -> Vector:
-    """Rotation matrices (b, 3, 3) of rotation vectors (b, 3) (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=1)
-    safe = np.maximum(angle, 1e-12)
-    x, y, z = (vectors / safe[:, None]).T
-    zero = np.zeros_like(x)
-    k = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    sine = np.sin(angle)[:, None, None]
-    versine = (1.0 - np.cos(angle))[:, None, None]
-    return np.eye(3) + sine * k + versine * (k @ k)
 
 
 def tracked_frame(frame: PoseFrame, tracker: Any) -> tuple[PoseFrame, TrackResult]:

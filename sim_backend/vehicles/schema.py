@@ -13,7 +13,7 @@ from typing import Annotated, Any, Generic, Self, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from crazyarena.levels.schema import Number, invalid, unknown_key
+from crazyarena.levels.values import Number, invalid, unknown_key
 
 _Value = TypeVar("_Value")
 
