@@ -79,7 +79,8 @@ def package_paths() -> list[Path]:
     for name in _OWN:
         spec = importlib.util.find_spec(name)
         if spec is not None:
-            paths += [Path(place) for place in spec.submodule_search_locations or ()]
+            # Where they are, not where the package has links to them.
+            paths += [Path(place).resolve() for place in spec.submodule_search_locations or ()]
     return paths
 
 
