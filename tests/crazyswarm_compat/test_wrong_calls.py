@@ -15,6 +15,7 @@ from crazyarena.crazyswarm_compat.options import CrazyswarmWarning, parse
 from crazyarena.crazyswarm_compat.registry import open_backend
 from crazyarena.crazyswarm_compat.uav_trajectory import Polynomial4D, Trajectory
 from crazyarena.errors import BackendError, CommandError, InputError
+from tests.optional import needs_pybullet
 
 NAN, INF = math.nan, math.inf
 ZERO = [0.0, 0.0, 0.0]
@@ -209,7 +210,7 @@ def test_backend_checks_what_is_sent_to_it_directly():
 
 # The calls that scripts most often get wrong, on everything that simulates.
 
-BACKENDS = ["ideal", "sim", pytest.param("pybullet", marks=pytest.mark.slow)]
+BACKENDS = ["ideal", "sim", pytest.param("pybullet", marks=[pytest.mark.slow, needs_pybullet])]
 
 
 @pytest.fixture(params=BACKENDS)

@@ -21,6 +21,7 @@ from crazyarena.sim_backend.physics import fleet as kernels
 from crazyarena.sim_backend.physics.arena_plant import ARENA_BODY_SIZE
 from crazyarena.sim_backend.physics.scene import MARGIN, VEHICLE_HALF_LENGTH
 from crazyarena.sim_backend.trace import TRACE_SIZE
+from tests.optional import needs_pybullet
 
 RADIUS = 0.06  # m, of a vehicle; contacts begin some millimetres outside
 
@@ -218,7 +219,9 @@ crazyflies:
 """
 
 
-@pytest.mark.parametrize("backend", ["sim", pytest.param("pybullet", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "backend", ["sim", pytest.param("pybullet", marks=[pytest.mark.slow, needs_pybullet])]
+)
 def test_a_script_learns_of_contacts(backend):
     swarm = Crazyswarm(YAML, args=f"--backend {backend} --vis null")
     swarm.allcfs.takeoff(1.0, 2.0)
@@ -246,7 +249,9 @@ def test_no_contacts_with_perfect_tracking():
     assert swarm.allcfs.contacts == ()
 
 
-@pytest.mark.parametrize("backend", ["sim", pytest.param("pybullet", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "backend", ["sim", pytest.param("pybullet", marks=[pytest.mark.slow, needs_pybullet])]
+)
 def test_downwash_flag(backend):
     def lowest(flags):
         swarm = Crazyswarm(YAML, args=f"--backend {backend} --vis null {flags}")
