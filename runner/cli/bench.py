@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -35,6 +36,13 @@ from crazyarena.runner.cli.stop_options import (
 )
 
 
+class LinkChoice(StrEnum):
+    """What carries the radio protocol."""
+
+    UDP = "udp"
+    RADIO = "radio"
+
+
 def register(app: typer.Typer) -> None:
     app.command("bench")(bench)
 
@@ -49,6 +57,12 @@ def bench(
     dry: Annotated[
         bool, typer.Option("--dry/--no-dry", help="Fly the dry runs too, and compare.")
     ] = True,
+    link: Annotated[
+        LinkChoice, typer.Option(help="UDP, or a virtual Crazyradio under cflib's radio driver.")
+    ] = LinkChoice.UDP,
+    mocap_rate: Annotated[
+        float | None, typer.Option(min=10.0, max=500.0, metavar="HZ", help="Camera frames.")
+    ] = None,
     compute: Compute = None,
     compute_factor: ComputeFactor = 1.0,
     late: Late = LateChoice.HOLD,
@@ -66,7 +80,7 @@ def bench(
     stop_listen: StopListen = None,
     stop_token: StopToken = None,
 ) -> None:
-    """Fly a virtual Crazyflie over UDP with cameras over zenoh, in real time.
+    """Fly a virtual Crazyflie over UDP or radio with cameras over zenoh, in real time.
 
     Radio protocol, client, camera network, watchdog and contestant's process are those of a
     flight; --compute is for the dry runs that it is compared with.
@@ -105,6 +119,8 @@ def bench(
             figure=figure,
             console=console,
             waive=waive or (),
+            radio=link is LinkChoice.RADIO,
+            cameras=None if mocap_rate is None else {"rate": mocap_rate},
             stops=stop_options(
                 gamepad, dead_man, stop_network, stop_connect, stop_listen, stop_token, "bench"
             ),

@@ -62,12 +62,16 @@ class FlightProcess:
     refused: the first of what was posted that failed, or None.
     notes: what real-time privileges it was granted.
 
+    Parameters
+    ----------
+    environment: of the process, this one's own by default.
+
     Raises
     ------
     CrazyarenaError: whatever connecting raised over there.
     """
 
-    def __init__(self, setup: HardwareSetup) -> None:
+    def __init__(self, setup: HardwareSetup, environment: Mapping[str, str] | None = None) -> None:
         self.frames: list[PoseFrame] = []
         self.status = wire.Status(Telemetry(-math.inf), SourceStatus())
         self.lost: str | None = None
@@ -91,6 +95,7 @@ class FlightProcess:
                     [sys.executable, "-m", module, str(theirs.fileno())],
                     pass_fds=(theirs.fileno(),),
                     stdout=subprocess.DEVNULL,
+                    env=environment,
                 )
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -453,6 +458,7 @@ def connected(
     limits: Limits | None = None,
     real_time: bool = True,
     description: dict[str, object] | None = None,
+    environment: Mapping[str, str] | None = None,
 ) -> Rig:
     """Start a flight process that connects to a vehicle and a camera system.
 
@@ -461,6 +467,7 @@ def connected(
     uri: link of the vehicle, as cflib opens it.
     vehicle, body: id and name of the vehicle; the name is ``cf<id>`` by default.
     real_time: ask for real-time scheduling and locked memory there.
+    environment: of that process, this one's own by default.
 
     Raises
     ------
@@ -470,7 +477,7 @@ def connected(
     body = body or f"cf{vehicle}"
     origin = WallClock().origin
     process = FlightProcess(
-        HardwareSetup(level, uri, source, vehicle, body, origin, limits, real_time)
+        HardwareSetup(level, uri, source, vehicle, body, origin, limits, real_time), environment
     )
     try:
         # Both are compiled, while the other process connects.
