@@ -1,8 +1,8 @@
 """The whole hardware path without hardware; what ``crazyarena bench`` does.
 
 A virtual arena runs in a process of its own; the trial reaches its vehicle through cflib over
-UDP, or over a virtual Crazyradio, and sees it through cameras on zenoh, in real time. Each run is then flown as a dry run with
-the same seed, and the two groups are compared.
+UDP, or over a virtual Crazyradio, and sees it through cameras on zenoh, in real time. Each run is
+then flown as a dry run with the same seed, and the two groups are compared.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@ on zenoh.
 
 ``python -m crazyarena.runner.virtual_arena CONFIG`` with a JSON object: level_file (path), seed,
 vehicle, port, radio (on the air, not on the port), endpoint, cameras (fields of CameraModel),
-battery (times the usual capacity). Prints one line of JSON with ``uri`` and ``air`` once it runs, and on SIGTERM one with how it kept up, then ends; also 20 s after its standard input
-was closed.
+battery (times the usual capacity). Prints one line of JSON with ``uri`` and ``air`` once it runs,
+and on SIGTERM one with how it kept up, then ends; also 20 s after its standard input was closed.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ vehicle), ``telemetry``, ``preflight``, ``events``.
 
 from crazyarena.crazyswarm_compat.radio.backend import RadioBackend, open_radio
 from crazyarena.crazyswarm_compat.radio.events import (
+    AirShort,
     CommandLost,
     CommandRefused,
     LinkEvent,
@@ -22,6 +23,7 @@ from crazyarena.crazyswarm_compat.radio.preflight import Preparation
 from crazyarena.crazyswarm_compat.radio.telemetry import SupervisorState
 
 __all__ = [
+    "AirShort",
     "CommandLost",
     "CommandRefused",
     "Lane",
