@@ -1,8 +1,8 @@
 """The whole hardware path without hardware; what ``crazyarena bench`` does.
 
 A virtual arena runs in a process of its own; the trial reaches its vehicle through cflib over
-UDP and sees it through cameras on zenoh, in real time. Each run is then flown as a dry run with
-the same seed, and the two groups are compared.
+UDP, or over a virtual Crazyradio, and sees it through cameras on zenoh, in real time. Each run is
+then flown as a dry run with the same seed, and the two groups are compared.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from crazyarena.runner.rig.stops import StopOptions
 from crazyarena.runner.rig.virtual_arena import VirtualArena
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.safety.limits import Limits
+from crazyarena.sim_backend.crazyradio.environment import with_dongles
 
 
 @dataclass
@@ -52,6 +53,7 @@ class Bench:
     dry: fly the dry runs and compare.
     stops: what stops the flights in real time besides the watchdog.
     waive: lines of the pre-flight checklist that must not ground those.
+    radio: over a virtual Crazyradio instead of UDP. cameras: fields of CameraModel.
     """
 
     def __init__(
@@ -70,7 +72,11 @@ class Bench:
         console: Console | None = None,
         stops: StopOptions | None = None,
         waive: Sequence[str] = (),
+        radio: bool = False,
+        cameras: dict[str, Any] | None = None,
     ) -> None:
+        self._radio = radio
+        self._cameras = cameras
         self._submission = submission
         self._level = level
         self._out = out
@@ -119,7 +125,7 @@ class Bench:
         arenas: list[VirtualArena] = []
 
         def open_rig(level: Level, limits: Limits) -> Rig:
-            arena = VirtualArena(level, seed, folder)
+            arena = VirtualArena(level, seed, folder, radio=self._radio, cameras=self._cameras)
             arenas.append(arena)
             try:
                 rig = connected(
@@ -129,6 +135,7 @@ class Bench:
                     limits=limits,
                     real_time=self._real_time,
                     description={"mocap": f"zenoh {arena.endpoint}", "world": "bench"},
+                    environment=with_dongles(arena.air) if self._radio else None,
                 )
             except BaseException:
                 arena.close()

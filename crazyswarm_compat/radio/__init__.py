@@ -8,6 +8,7 @@ vehicle), ``telemetry``, ``preflight``, ``events``.
 
 from crazyarena.crazyswarm_compat.radio.backend import RadioBackend, open_radio
 from crazyarena.crazyswarm_compat.radio.events import (
+    AirShort,
     CommandLost,
     CommandRefused,
     LinkEvent,
@@ -24,6 +25,7 @@ from crazyarena.crazyswarm_compat.radio.quality import LinkStatistics
 from crazyarena.crazyswarm_compat.radio.telemetry import SupervisorState
 
 __all__ = [
+    "AirShort",
     "CommandLost",
     "CommandRefused",
     "Lane",

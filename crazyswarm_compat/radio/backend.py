@@ -18,6 +18,7 @@ from crazyarena.crazyswarm_compat.checks import check
 from crazyarena.crazyswarm_compat.config import FleetConfig
 from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.radio import packets as pk
+from crazyarena.crazyswarm_compat.radio.air_sharing import AirSharing
 from crazyarena.crazyswarm_compat.radio.budget import Budget
 from crazyarena.crazyswarm_compat.radio.client import init_drivers
 from crazyarena.crazyswarm_compat.radio.events import EventLog, LinkEvent
@@ -80,6 +81,7 @@ class RadioBackend:
             for config in fleet.vehicles
             for radio in (_radio_of(str(config.uri)),)
         }
+        self._air = AirSharing(fleet, self.options, self._links)
         try:
             self._connect_all()
         except BaseException:
@@ -89,7 +91,7 @@ class RadioBackend:
         self._monitor.start()
 
     def _budget(self, radio: str) -> Budget:
-        if not radio.startswith("radio://"):
+        if not radio.startswith("radio://") or self.options.driver == "scheduled":
             return Budget()
         rate = self.options.packets_per_second
         return Budget(rate, max(1.0, 0.04 * rate))
@@ -146,12 +148,13 @@ class RadioBackend:
         ``options.outbox.extpose_rate`` per vehicle; unknown ids are only told to vehicles that
         avoid collisions. A pose whose quaternion is not finite goes as a position."""
         now = self.clock.now()
+        served = self._air.broadcast(poses, now)
         for ident, link in self._links.items():
             pose = poses.get(ident)
             outgoing: tuple[pk.Packet, ...] = ()
             if pose is not None:
                 link.last_pose = (now, pose)
-                outgoing = self._own_pose(ident, pose)
+                outgoing = () if ident in served else self._own_pose(ident, pose)
             if link.hears_peers:
                 outgoing += pk.packed_positions(
                     [(peer, other.position) for peer, other in poses.items() if peer != ident]
@@ -361,6 +364,7 @@ class RadioBackend:
                 link.note_supervisor()
                 self._maybe_reconnect(link, now)
             self._feed_by_ourselves(now)
+            self._air.look(now, self._events)
 
     def _feed_by_ourselves(self, now: float) -> None:
         with self._watchdog_lock:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import threading
@@ -11,6 +12,8 @@ import cflib.crtp
 from cflib.crazyflie import Crazyflie
 from cflib.crtp.crtpstack import CRTPPacket, CRTPPort
 from cflib.crtp.udpdriver import UdpDriver
+
+from crazyarena.crazyswarm_compat.radio.radio_driver import scheduled
 
 _DRIVERS = threading.Lock()
 _UDP_RETRY = 0.08  # s; networks answer sooner than radios
@@ -43,14 +46,16 @@ class _NoLatency:
 
 
 class Client(Crazyflie):
-    """A :class:`cflib.crazyflie.Crazyflie` with three differences.
+    """A :class:`cflib.crazyflie.Crazyflie` with four differences.
 
     Requests are repeated on UDP links too (cflib takes them for lossless), a failing driver
-    cannot leave the send lock behind, and there is no latency thread.
+    cannot leave the send lock behind, there is no latency thread, and a radio link is served by
+    urgency unless ``scheduled`` is False.
     """
 
-    def __init__(self, cache: str | os.PathLike[str] | None) -> None:
+    def __init__(self, cache: str | os.PathLike[str] | None, scheduled: bool = True) -> None:
         self._driver: Any = None
+        self._scheduled = scheduled
         super().__init__(rw_cache=None if cache is None else os.fspath(cache))
         latency = self.link_statistics.latency
         self.remove_header_callback(latency._ping_response, CRTPPort.LINKCTRL, 0)
@@ -66,6 +71,10 @@ class Client(Crazyflie):
         if isinstance(driver, UdpDriver):
             driver.needs_resending = True
         self._driver = driver
+
+    def open_link(self, link_uri: str) -> None:
+        with scheduled() if self._scheduled else contextlib.nullcontext():
+            super().open_link(link_uri)
 
     def send_packet(
         self,

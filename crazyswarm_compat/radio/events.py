@@ -66,6 +66,20 @@ class TrajectoryUploaded(LinkEvent):
     trajectory_id: int
 
 
+@dataclass(frozen=True, slots=True)
+class AirShort(LinkEvent):
+    """The dongle of this vehicle carries less than is asked of it, or all of it again.
+
+    what: ``logs``, whose rates are divided by ``divisor`` from now on (1: as asked for), or
+    ``poses``, of which the share ``fallen`` is not sent, the newest being what is (0: all are).
+    Setpoints, commands and stops do not fall.
+    """
+
+    what: str
+    divisor: int = 1
+    fallen: float = 0.0
+
+
 class EventLog:
     """Keeps the latest events and passes them on. Safe to share between threads."""
 

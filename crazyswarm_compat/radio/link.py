@@ -31,6 +31,7 @@ from crazyarena.crazyswarm_compat.radio.options import RadioOptions
 from crazyarena.crazyswarm_compat.radio.outbox import Outbox
 from crazyarena.crazyswarm_compat.radio.parameters import Parameters
 from crazyarena.crazyswarm_compat.radio.quality import LinkStatistics, Pings
+from crazyarena.crazyswarm_compat.radio.radio_driver import ScheduledRadioDriver
 from crazyarena.crazyswarm_compat.radio.sender import Sender
 from crazyarena.crazyswarm_compat.radio.telemetry import FLYING, LOCKED, TelemetryReader
 from crazyarena.crazyswarm_compat.radio.trajectory_memory import TrajectoryMemory
@@ -73,7 +74,7 @@ class VehicleLink:
         self.outbox = Outbox(options.outbox, budget, self._take_over)
         self._packets_sent = 0
         self.telemetry = TelemetryReader(
-            clock, options.state_rate, options.health_rate, lambda: self._packets_sent
+            clock, options.state_rate, options.health_rate, self._packets_out
         )
         self.pings = Pings()
         self.client: Client | None = None
@@ -126,7 +127,7 @@ class VehicleLink:
         self._fully_connected.clear()
         self._failure = None
         cache = self._options.cache
-        client = Client(cache)
+        client = Client(cache, self._options.driver == "scheduled")
         client.fully_connected.add_callback(lambda _: self._fully_connected.set())
         client.connection_failed.add_callback(lambda _, why: self._fail(client, why))
         client.connection_lost.add_callback(lambda _, why: self._fail(client, why))
@@ -232,6 +233,14 @@ class VehicleLink:
         # Whoever sent it, cflib included.
         self._packets_sent += 1
         self._budget.spend(self._clock.now())
+
+    def _packets_out(self) -> int:
+        """Packets that have gone to the vehicle, without those that newer ones replaced."""
+        client = self.client
+        driver = None if client is None else client.link
+        if isinstance(driver, ScheduledRadioDriver):
+            return self._packets_sent - driver.replaced()
+        return self._packets_sent
 
     def _echo(self, packet: Any) -> None:
         self.pings.received(bytes(packet.data), self._clock.now())

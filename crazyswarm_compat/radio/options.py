@@ -24,11 +24,14 @@ class RadioOptions:
 
     cache: folder of the tables of contents, None to download them every time; connect_timeout:
     for all vehicles together; link_timeout: silence after which a link counts as lost;
-    reconnect: try again by itself, every reconnect_interval; packets_per_second: what one
-    Crazyradio carries for all its vehicles (USB and UDP links have no such limit);
+    reconnect: try again by itself, every reconnect_interval; driver: of radio links,
+    ``scheduled`` sends what is most urgent on a dongle, ``cflib`` gives its vehicles turns, as
+    cflib's own driver does; packets_per_second: what one Crazyradio carries for all its vehicles
+    under ``cflib`` (nothing else needs such a limit);
     state_rate, health_rate: of the onboard estimate, and of battery, supervisor, RSSI and body
     rates, 0 for none; ping_rate: of the echoes that show loss and latency; poses: ``single``
-    sends full resolution, ``packed`` millimetres, two vehicles in a packet; param_timeout,
+    sends full resolution, ``packed`` millimetres, ``auto`` broadcasts them packed where three
+    vehicles or more share a channel; param_timeout,
     upload_timeout: for the vehicle's answer; outbox: limits of the traffic classes.
     """
 
@@ -37,11 +40,12 @@ class RadioOptions:
     link_timeout: float = 1.0
     reconnect: bool = False
     reconnect_interval: float = 2.0
+    driver: Literal["scheduled", "cflib"] = "scheduled"
     packets_per_second: float = 500.0
     state_rate: float = 20.0
     health_rate: float = 10.0
     ping_rate: float = 10.0
-    poses: Literal["single", "packed"] = "single"
+    poses: Literal["auto", "single", "packed"] = "auto"
     param_timeout: float = 2.0
     upload_timeout: float = 15.0
     outbox: OutboxOptions = field(default_factory=OutboxOptions)
@@ -66,7 +70,11 @@ class RadioOptions:
                     f"radio options: {name} is {value!r} Hz; log blocks run at 0.4..100 Hz, 0 is "
                     "none"
                 )
-        if self.poses not in ("single", "packed"):
-            raise InputError(f"radio options: poses is {self.poses!r}; choose single or packed")
+        if self.driver not in ("scheduled", "cflib"):
+            raise InputError(f"radio options: driver is {self.driver!r}; choose scheduled or cflib")
+        if self.poses not in ("auto", "single", "packed"):
+            raise InputError(
+                f"radio options: poses is {self.poses!r}; choose auto, single or packed"
+            )
         if math.isnan(self.outbox.stream_timeout) or self.outbox.stream_timeout <= 0:
             raise InputError("radio options: outbox.stream_timeout must be > 0 s")

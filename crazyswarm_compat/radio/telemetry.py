@@ -90,6 +90,16 @@ class Block:
         self._config.error_cb.add_callback(self._error)
         self._config.start()
 
+    def pace(self, period_ms: int) -> None:
+        """Go on with another period."""
+        if period_ms == self._period:
+            return
+        self._config.stop()
+        self._period, self._last = period_ms, None
+        self._config.period = period_ms // 10
+        self._config.period_in_ms = period_ms
+        self._config.start()
+
     def stop(self) -> None:
         """Stop and delete the block."""
         self._config.data_received_cb.remove_callback(self._data)
@@ -139,6 +149,7 @@ class TelemetryReader:
         self._rates = (state_rate, health_rate)
         self._lock = threading.Lock()
         self._blocks: list[Block] = []
+        self._divisor = 1
         self._last = Telemetry(timestamp=-math.inf)
         self._omega: Vector = np.zeros(3)
 
@@ -151,7 +162,7 @@ class TelemetryReader:
         """Create the blocks on a new connection; variables that the firmware lacks are left
         out."""
         state_rate, health_rate = self._rates
-        self._blocks = []
+        self._blocks, self._divisor = [], 1
         self._count, self._uplink = None, (0, 0)
         motion = [f"stateEstimateZ.{name}" for name in _MOTION]
         if state_rate and all(knows(client, name) for name in motion):
@@ -168,6 +179,15 @@ class TelemetryReader:
             self._blocks.append(
                 Block(client, "health", health, _period_ms(health_rate), self._health)
             )
+
+    def slow_down(self, divisor: int) -> None:
+        """Divide the rates that were asked for; 1 gives them back. Sends, but does not wait."""
+        if divisor == self._divisor:
+            return
+        self._divisor = divisor
+        rates = [rate for rate in self._rates if rate]
+        for block, rate in zip(self._blocks, rates, strict=False):
+            block.pace(_period_ms(rate / divisor))
 
     def quality(self, link_quality: float) -> None:
         """Note the quality of the link, 0..1."""

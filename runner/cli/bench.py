@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,6 +28,13 @@ if TYPE_CHECKING:
     from crazyarena.runner.trial.options import FlightOptions
 
 
+class LinkChoice(StrEnum):
+    """What carries the radio protocol."""
+
+    UDP = "udp"
+    RADIO = "radio"
+
+
 def register(app: typer.Typer) -> None:
     app.command("bench")(bench)
 
@@ -42,6 +50,12 @@ def bench(
     dry: Annotated[
         bool, typer.Option("--dry/--no-dry", help="Fly the dry runs too, and compare.")
     ] = True,
+    link: Annotated[
+        LinkChoice, typer.Option(help="UDP, or a virtual Crazyradio under cflib's radio driver.")
+    ] = LinkChoice.UDP,
+    mocap_rate: Annotated[
+        float | None, typer.Option(min=10.0, max=500.0, metavar="HZ", help="Camera frames.")
+    ] = None,
     *,
     options: FlightOptions,
     real_time: Annotated[
@@ -51,7 +65,7 @@ def bench(
     waive: Waive = None,
     stops: Callable[[str], StopOptions],
 ) -> None:
-    """Fly a virtual Crazyflie over UDP with cameras over zenoh, in real time.
+    """Fly a virtual Crazyflie over UDP or radio with cameras over zenoh, in real time.
 
     Radio protocol, client, camera network, watchdog and contestant's process are those of a
     flight; --compute is for the dry runs that it is compared with.
@@ -83,6 +97,8 @@ def bench(
             figure=figure,
             console=console,
             waive=waive or (),
+            radio=link is LinkChoice.RADIO,
+            cameras=None if mocap_rate is None else {"rate": mocap_rate},
             stops=stops("bench"),
         ).run()
         if result.comparison is not None:

@@ -1,9 +1,10 @@
-"""A whole arena in a process of its own: a virtual Crazyflie on UDP and cameras on zenoh.
+"""A whole arena in a process of its own: a virtual Crazyflie on UDP or on the air, and cameras
+on zenoh.
 
 ``python -m crazyarena.runner.rig.virtual_arena CONFIG`` with a JSON object: level_file (path),
-seed, vehicle, port, endpoint, cameras (fields of CameraModel), battery (times the usual capacity).
-Prints one line of JSON with ``uri`` once it runs, and on SIGTERM one with how it kept up, then
-ends; also 20 s after its standard input was closed.
+seed, vehicle, port, radio (on the air, not on the port), endpoint, cameras (fields of CameraModel),
+battery (times the usual capacity). Prints one line of JSON with ``uri`` and ``air`` once it runs,
+and on SIGTERM one with how it kept up, then ends; also 20 s after its standard input was closed.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ def _serve(config: dict[str, Any]) -> None:
     from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
     from crazyarena.sim_backend.arena_kernel import DT
     from crazyarena.sim_backend.arena_world import SENSOR_NOISE, Track, motions
+    from crazyarena.sim_backend.crazyradio.fleet import put_on_air
+    from crazyarena.sim_backend.crazyradio.gateway import Gateway
     from crazyarena.sim_backend.crtp.server import VirtualServer
     from crazyarena.sim_backend.crtp.swarm import Send, VirtualSwarm
     from crazyarena.sim_backend.physics.arena_plant import AP_CAPACITY
@@ -89,8 +92,18 @@ def _serve(config: dict[str, Any]) -> None:
     clock = WallClock()
     cameras = SimSource(clock, None, CameraModel(**config["cameras"]), for_cameras)
     publisher = ZenohPublisher(clock, listen=[config["endpoint"]])
+    links, gateway = None, None
+    if config["radio"]:
+        links, air = put_on_air(fleet.ids, clock)
+        gateway = Gateway(air, clock, port=0)
     server = VirtualServer(
-        swarm, "127.0.0.1", config["port"], clock=clock, cameras=cameras, publisher=publisher
+        swarm,
+        "127.0.0.1",
+        config["port"],
+        links=links,
+        clock=clock,
+        cameras=cameras,
+        publisher=publisher,
     )
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: server.stop())
@@ -102,7 +115,8 @@ def _serve(config: dict[str, Any]) -> None:
         server.stop()
 
     threading.Thread(target=outlive_the_runner, daemon=True).start()
-    print(json.dumps({"uri": server.uris[0]}), flush=True)
+    told = {"uri": server.uris[0], "air": "" if gateway is None else gateway.address}
+    print(json.dumps(told), flush=True)
     try:
         server.run()
         end = fleet.true_pose(0).position
@@ -115,11 +129,14 @@ def _serve(config: dict[str, Any]) -> None:
                     "supervisor": info,
                     "stalls": pace.stalls,
                     "worst_ms": pace.worst,
+                    "link": server.links[0].report(),
                 }
             ),
             flush=True,
         )
     finally:
+        if gateway is not None:
+            gateway.close()
         server.close()
         publisher.close()
 
@@ -129,7 +146,8 @@ class VirtualArena:
 
     Attributes
     ----------
-    uri: of the virtual vehicle. endpoint: of the cameras, for a zenoh source.
+    uri: of the virtual vehicle. air: where dongles find it, empty over UDP. endpoint: of the
+    cameras, for a zenoh source.
     report: what the child told at its end.
 
     Raises
@@ -146,6 +164,7 @@ class VirtualArena:
         vehicle: int = 1,
         cameras: dict[str, Any] | None = None,
         battery: float = 1.0,
+        radio: bool = False,
     ) -> None:
         self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
         self.report: dict[str, Any] = {}
@@ -159,6 +178,7 @@ class VirtualArena:
             "endpoint": self.endpoint,
             "cameras": cameras or {},
             "battery": battery,
+            "radio": radio,
         }
         self._errors = open(folder / "virtual_arena.log", "w+")  # noqa: SIM115 - closed by close()
         self._process = subprocess.Popen(
@@ -169,7 +189,8 @@ class VirtualArena:
             text=True,
         )
         try:
-            self.uri = str(self._line(_START_TIMEOUT)["uri"])
+            told = self._line(_START_TIMEOUT)
+            self.uri, self.air = str(told["uri"]), str(told["air"])
         except BaseException:
             self.close()
             raise

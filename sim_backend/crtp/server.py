@@ -15,6 +15,7 @@ from crazyarena.mocap.zenoh_link import ZenohPublisher
 from crazyarena.sim_backend.crtp.faults import Faults
 from crazyarena.sim_backend.crtp.film import PushedCameras
 from crazyarena.sim_backend.crtp.link import BASE_PORT, UdpLink
+from crazyarena.sim_backend.crtp.packets import EVERYBODY
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
 
 _WAKE_MS = 4  # between wake-ups when nothing arrives
@@ -250,6 +251,7 @@ class VirtualServer:
             if link.boots():
                 vehicle.reboot()
             for datagram, sender in link.receive(now):
+                vehicle.counters.broadcast += sender is EVERYBODY
                 for answer in vehicle.receive(datagram):
                     link.send(answer, now, sender)
             link.flush(now)

@@ -61,9 +61,11 @@ class Hardware(Enum):
 
 @dataclass(slots=True)
 class Counters:
-    """Packets of one vehicle: received, refused before any service saw them, sent."""
+    """Packets of one vehicle: received, those among them that went to everybody, refused before
+    any service saw them, sent."""
 
     received: int = 0
+    broadcast: int = 0
     malformed: int = 0
     sent: int = 0
 
@@ -212,7 +214,8 @@ class VirtualCrazyflie:
             "locSrvZ.tick": lambda: self.flight.measured_at & 0xFFFF,
             "radio.rssi": lambda: _RSSI,
             "radio.isConnected": lambda: 1,
-            "radio.numRxUc": lambda: self.counters.received & 0xFFFF,
+            "radio.numRxUc": lambda: (self.counters.received - self.counters.broadcast) & 0xFFFF,
+            "radio.numRxBc": lambda: self.counters.broadcast & 0xFFFF,
             "memTst.errCntW": lambda: self._tester.errors,
         }
 

@@ -273,6 +273,7 @@ def connected(
     limits: Limits | None = None,
     real_time: bool = True,
     description: dict[str, object] | None = None,
+    environment: Mapping[str, str] | None = None,
 ) -> Rig:
     """Start a flight process that connects to a vehicle and a camera system.
 
@@ -281,6 +282,7 @@ def connected(
     uri: link of the vehicle, as cflib opens it.
     vehicle, body: id and name of the vehicle; the name is ``cf<id>`` by default.
     real_time: ask for real-time scheduling and locked memory there.
+    environment: of that process, this one's own by default.
 
     Raises
     ------
@@ -290,7 +292,7 @@ def connected(
     body = body or f"cf{vehicle}"
     origin = WallClock().origin
     process = FlightProcess(
-        HardwareSetup(level, uri, source, vehicle, body, origin, limits, real_time)
+        HardwareSetup(level, uri, source, vehicle, body, origin, limits, real_time), environment
     )
     try:
         # Both are compiled, while the other process connects.
