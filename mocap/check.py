@@ -10,10 +10,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from crazyarena.mocap.assembly import SAME
+from crazyarena.mocap.axes import recognised_axes
 from crazyarena.mocap.cadence import Cadence
 from crazyarena.mocap.rotations import angle_between
 from crazyarena.mocap.source import SourceState, SourceStatus
 from crazyarena.types import Pose, PoseFrame
+
+# A body that stays within this, m, is at rest.
+_REST = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,6 +230,13 @@ class MocapCheck:
         for name, body in self._bodies.items():
             if body.seen:
                 problems.extend(self._judge(name, body, rate))
+        axes = recognised_axes(self._at_rest())
+        if axes is not None:
+            problems.append(
+                f"What rests here leans, and stands upright only if the stream is {axes}. If it "
+                f"stands on level ground: --option axes={axes}, or stream z up from the camera "
+                "software."
+            )
         return CheckReport(
             self._frames,
             rate,
@@ -238,6 +249,16 @@ class MocapCheck:
             self._bodies,
             tuple(problems),
         )
+
+    def _at_rest(self) -> dict[str, Pose]:
+        """Bodies that have not moved lately."""
+        return {
+            name: body.last
+            for name, body in self._bodies.items()
+            if body.last is not None
+            and len(body.recent) > 20
+            and float(np.ptp(np.array(body.recent)[:, :3], axis=0).max()) < _REST
+        }
 
     def _judge(self, name: str, body: BodyReport, rate: float) -> list[str]:
         limits = self.limits
@@ -263,7 +284,7 @@ class MocapCheck:
                 f"{name} flipped {body.flips} times; its markers are too symmetric, move one."
             )
         recent = np.array(body.recent)
-        if len(recent) > 20 and float(np.ptp(recent[:, :3], axis=0).max()) < 0.02:
+        if len(recent) > 20 and float(np.ptp(recent[:, :3], axis=0).max()) < _REST:
             noise = float(recent[:, :3].std(axis=0).max())
             if noise > limits.max_noise:
                 problems.append(

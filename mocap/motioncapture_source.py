@@ -14,7 +14,7 @@ import threading
 from crazyarena.clock import Clock
 from crazyarena.errors import DependencyMissing, InputError
 from crazyarena.mocap.assembly import DEFAULT_WAIT, Assembler, take_assembled
-from crazyarena.mocap.frames import Convention
+from crazyarena.mocap.frames import Convention, chosen_convention
 from crazyarena.mocap.source import FrameQueue, SourceState, SourceStatus
 from crazyarena.mocap.stamps import StampReader
 from crazyarena.mocap.wire import PayloadError, decode
@@ -42,7 +42,8 @@ class MotionCaptureSource:
     vendor: type name of the package. Which of them work depends on how the installed wheel
         was built; others are reported in ``status.error``.
     latency: known time from exposure to arrival here, s; the package does not tell.
-    convention: axes, units and offsets; None to take poses as they come.
+    convention: axes, units and offsets; None to take poses as they come. axes: ``z-up`` or
+        ``y-up``, short for a convention with these axes only.
     stall_after: silence, s, after which the client is taken for dead. retry_after: pause
         before connecting anew, s.
     assemble: longest wait, s, for the bodies of one instant
@@ -58,6 +59,7 @@ class MotionCaptureSource:
         vendor: str,
         latency: float = 0.0,
         convention: Convention | None = None,
+        axes: str | None = None,
         stall_after: float = 1.0,
         retry_after: float = 0.5,
         connect_timeout: float = 5.0,
@@ -72,7 +74,7 @@ class MotionCaptureSource:
             if not value > 0:
                 raise InputError(f"mocap {name}: found {value}; need seconds above 0")
         self._clock = clock
-        self._convention = convention or Convention()
+        self._convention = chosen_convention(convention, axes)
         if assemble is None:
             assemble = DEFAULT_WAIT if vendor in SINGLY else 0.0
         self._assembler = Assembler(assemble) if assemble else None

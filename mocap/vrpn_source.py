@@ -19,7 +19,7 @@ from crazyarena.clock import Clock
 from crazyarena.errors import InputError
 from crazyarena.mocap import vrpn_wire as wire
 from crazyarena.mocap.assembly import DEFAULT_WAIT, Assembler, take_assembled
-from crazyarena.mocap.frames import Convention
+from crazyarena.mocap.frames import Convention, chosen_convention
 from crazyarena.mocap.source import FrameQueue, SourceState, SourceStatus
 from crazyarena.mocap.stamps import StampReader, new_run
 from crazyarena.types import Pose, PoseFrame
@@ -45,7 +45,8 @@ class VrpnSource:
     port: its TCP port.
     transport: ``tcp``, or ``udp`` to have poses sent in datagrams.
     latency: known time from exposure to the fastest arrival here, s.
-    convention: axes, units and offsets; None to take poses as they come.
+    convention: axes, units and offsets; None to take poses as they come. axes: ``z-up`` or
+        ``y-up``, short for a convention with these axes only.
     assemble: longest wait for the bodies of one instant, s
         (:class:`~crazyarena.mocap.assembly.Assembler`); 0 for none.
     stall_after: silence, s, after which the connection is taken for dead. retry_after: pause
@@ -64,6 +65,7 @@ class VrpnSource:
         transport: str = "tcp",
         latency: float = 0.0,
         convention: Convention | None = None,
+        axes: str | None = None,
         assemble: float = DEFAULT_WAIT,
         stall_after: float = 1.0,
         retry_after: float = 0.5,
@@ -78,7 +80,7 @@ class VrpnSource:
         self._clock = clock
         self._datagrams = transport == "udp"
         self._latency = latency
-        self._convention = convention or Convention()
+        self._convention = chosen_convention(convention, axes)
         self._stall_after = stall_after
         self._retry_after = retry_after
         self._connect_timeout = connect_timeout
