@@ -80,6 +80,11 @@ class FrameQueue:
     def status(self) -> SourceStatus:
         return self._status
 
+    @property
+    def finished(self) -> bool:
+        """True when nothing will come any more."""
+        return self._status.state in (SourceState.CLOSED, SourceState.ENDED)
+
     def put(self, frame: PoseFrame, run: int) -> None:
         """Add a frame of the sender's run ``run``; another run starts new ids."""
         with self._ready:
@@ -130,10 +135,7 @@ class FrameQueue:
         with self._ready:
             if not self._frames and timeout > 0:
                 self._ready.wait_for(
-                    lambda: (
-                        self._frames
-                        or self._status.state in (SourceState.CLOSED, SourceState.ENDED)
-                    ),
+                    lambda: self._frames or self.finished,
                     timeout,
                 )
             taken = list(self._frames)

@@ -15,19 +15,22 @@ from pathlib import Path
 import numpy as np
 
 from crazyarena.errors import InputError
+from crazyarena.mocap.cadence import Cadence
 from crazyarena.mocap.rotations import angle_between
 from crazyarena.types import Pose, PoseFrame, Vector
 
 FORMAT = "crazyarena-measured-track"
 VERSION = 1
 _LATEST = 10  # frames that tell where a moving body is
+_SLOWEST = 4  # frames from one sight of a body to the next, at most
 
 
 @dataclass(frozen=True, slots=True)
 class SurveyConfig:
     """Requirements of a survey.
 
-    frames: frames to average; min_seen: share of them in which every body must appear;
+    frames: frames to average; min_seen: share of them in which every body must appear, or of
+    every second, ... up to fourth, for trackers that are slower than others;
     position_tolerance, yaw_tolerance, tilt_tolerance: largest deviation from nominal, m and
     rad; max_spread: largest standard deviation of a body's position, m (it must stand still).
     ``full_turn`` False compares yaw modulo 180 degrees, for gates without a front.
@@ -111,28 +114,40 @@ def survey(
     """
     config = config or SurveyConfig()
     samples: dict[str, list[Pose]] = {name: [] for name in nominal}
+    cadences: dict[str, Cadence] = {}
     count = 0
     for frame in frames:
-        count += 1
         for name, poses in samples.items():
             pose = frame.bodies.get(name)
-            if pose is not None:
-                poses.append(pose)
+            if pose is None:
+                continue
+            poses.append(pose)
+            if name in cadences:
+                cadences[name].note(count)
+            else:
+                cadences[name] = Cadence(count)
+        count += 1
         if count >= config.frames:
             break
-    bodies = tuple(_measure(n, samples[n], nominal[n], count, config, n in moving) for n in nominal)
-    return SurveyReport(bodies, count)
+    bodies = []
+    for name, expected in nominal.items():
+        period = min(cadences[name].period, _SLOWEST) if name in cadences else 1
+        need = math.ceil(config.min_seen * config.frames / period)
+        bodies.append(
+            _measure(name, samples[name], expected, (need, count), config, name in moving)
+        )
+    return SurveyReport(tuple(bodies), count)
 
 
 def _measure(
     name: str,
     samples: list[Pose],
     nominal: Pose,
-    count: int,
+    needed: tuple[int, int],
     config: SurveyConfig,
     moving: bool,
 ) -> SurveyedBody:
-    need = math.ceil(config.min_seen * config.frames)
+    need, count = needed
     problem: str | None = None
     if not samples:
         nan = math.nan

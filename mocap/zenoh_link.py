@@ -13,6 +13,7 @@ from typing import Any
 
 from crazyarena.clock import Clock
 from crazyarena.errors import DependencyMissing, InputError
+from crazyarena.mocap.assembly import SAME, Assembler, take_assembled
 from crazyarena.mocap.source import FrameQueue, SourceState, SourceStatus
 from crazyarena.mocap.stamps import HostStamps, StampReader, host_id, host_time, new_run
 from crazyarena.mocap.wire import PayloadError, decode, encode
@@ -157,6 +158,8 @@ class ZenohSource:
 
         self._clock = clock
         self._queue = FrameQueue()
+        # Publishers may send each body by itself; equal stamps tell.
+        self._assembler = Assembler(same=SAME, learn=True)
         self._reader = StampReader(clock)
         # Called in zenoh's own thread: handing over through one more thread costs latency.
         handler = zenoh.handlers.Callback(self._receive, indirect=False)
@@ -176,7 +179,7 @@ class ZenohSource:
         )
 
     def frames(self, timeout: float = 0.0) -> list[PoseFrame]:
-        return self._queue.take(timeout)
+        return take_assembled(self._queue, self._assembler, self._clock, timeout)
 
     @property
     def status(self) -> SourceStatus:

@@ -19,6 +19,7 @@ import numpy as np
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels import Level
+from crazyarena.mocap.axes import recognised_axes
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.fence import Fence
@@ -107,6 +108,7 @@ class Preflight:
     controller: what ``stabilizer.controller`` must be (2 Mellinger, 1 PID).
     out: folder recordings go to.
     machine_checks, vehicle_checks: what is looked at.
+    poses: where bodies are seen now, by name.
     """
 
     level: Level
@@ -125,6 +127,7 @@ class Preflight:
     vehicle_checks: Sequence[Callable[[Preflight, VehicleFacts], list[Line]]] = field(
         default_factory=lambda: VEHICLE_CHECKS
     )
+    poses: Mapping[str, Pose] = field(default_factory=dict)
 
     def run(self, waive: Iterable[str] = ()) -> list[Line]:
         """All lines, in order.
@@ -195,6 +198,29 @@ def _gates(p: Preflight) -> list[Line]:
         if off > t.gate_position + math.sqrt(2.0) * room or turn > t.gate_yaw + room:
             bad.append(f"gate {index} is {off:.2f} m and {math.degrees(turn):.0f} deg off")
     return [Line("gates", not bad, "; ".join(bad) or f"{len(wanted)} surveyed", remedy)]
+
+
+def check_axes(p: Preflight) -> list[Line]:
+    """Whether the cameras' world is ours, from what stands where it should and upright."""
+    track = p.level.track
+    places = {
+        f"gate{i + 1}": np.array([g.row[0], g.row[1], g.row[2]]) for i, g in enumerate(track.gates)
+    }
+    places |= {
+        f"obstacle{i + 1}": np.array([o.row[0], o.row[1], o.row[2]])
+        for i, o in enumerate(track.obstacles)
+    }
+    if len(p.vehicles) == 1:
+        places[p.vehicles[0].body] = np.array(p.level.start.position, dtype=float)
+    for i in track.tracked:
+        places.pop(f"gate{i + 1}", None)
+    standing = {name: pose for name, pose in p.poses.items() if name in places}
+    if not standing:
+        return []
+    axes = recognised_axes(standing, places)
+    found = "z up, as they should be" if axes is None else f"the stream is {axes}, ours is z-up"
+    remedy = "--mocap-option axes=y-up, or stream z up from the camera software"
+    return [Line("world axes", axes is None, found, remedy)]
 
 
 def check_strangers(p: Preflight) -> list[Line]:
@@ -360,6 +386,7 @@ MACHINE_CHECKS: tuple[Callable[[Preflight], list[Line]], ...] = (
     _named,
     _fence,
     _gates,
+    check_axes,
     check_strangers,
     check_disk,
     _governor,

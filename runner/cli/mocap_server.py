@@ -20,7 +20,11 @@ def register(app: typer.Typer) -> None:
 
 def mocap_server(
     protocol: Annotated[
-        str, typer.Option(help="What to serve: qualisys (QTM real-time protocol) or zenoh.")
+        str,
+        typer.Option(
+            help="What to serve: qualisys (QTM real-time protocol), natnet (OptiTrack), vrpn or "
+            "zenoh."
+        ),
     ] = "qualisys",
     source: Annotated[
         str,
@@ -38,9 +42,27 @@ def mocap_server(
         120.0
     ),
     port: Annotated[
-        int, typer.Option(min=1, max=65533, help="QTM base port; clients use this plus 1.")
-    ] = 22222,
-    address: Annotated[str, typer.Option(help="Address to listen on (qualisys).")] = "127.0.0.1",
+        int | None,
+        typer.Option(
+            min=1,
+            max=65533,
+            help="QTM base port, of which clients use the next (22222), NatNet command port "
+            "(1510), or port of VRPN (3883).",
+        ),
+    ] = None,
+    address: Annotated[str, typer.Option(help="Address to listen on (not zenoh).")] = "127.0.0.1",
+    stream: Annotated[
+        str, typer.Option(help="Bit stream of natnet: 3.1, 4.0, 4.1 or 4.2.")
+    ] = "4.1",
+    multicast: Annotated[
+        bool, typer.Option("--multicast", help="Send to a multicast group (natnet).")
+    ] = False,
+    data_port: Annotated[
+        int, typer.Option(min=1, max=65535, help="Where natnet frames go.")
+    ] = 1511,
+    y_up: Annotated[
+        bool, typer.Option("--y-up", help="Axes as Motive has them by default (natnet).")
+    ] = False,
     listen: Annotated[
         str, typer.Option(help="Endpoint to listen on (zenoh).")
     ] = "tcp/127.0.0.1:7447",
@@ -55,10 +77,12 @@ def mocap_server(
         from crazyarena.clock import WallClock
         from crazyarena.errors import InputError
         from crazyarena.mocap.camera_model import CameraModel
+        from crazyarena.mocap.natnet_server import NatNetServer
         from crazyarena.mocap.serve import Outlet, circling, relay
         from crazyarena.mocap.sim_source import SimSource
         from crazyarena.mocap.source import PoseSource
         from crazyarena.mocap.vendor_server import QualisysServer
+        from crazyarena.mocap.vrpn_server import VrpnServer
         from crazyarena.mocap.zenoh_link import ZenohPublisher
         from crazyarena.runner.rig.cameras import open_named_source
 
@@ -81,13 +105,25 @@ def mocap_server(
         with closing(opened):
             outlet: Outlet
             if protocol == "qualisys":
-                outlet = QualisysServer(names, port, address)
-                where = f"QTM real-time protocol on {address}, base port {port}"
+                outlet = QualisysServer(names, port or 22222, address)
+                where = f"QTM real-time protocol on {address}, base port {outlet.port}"
+            elif protocol == "natnet":
+                outlet = NatNetServer(
+                    names, port or 1510, address, stream, multicast, data_port=data_port, y_up=y_up
+                )
+                how = "multicast" if multicast else "unicast"
+                axes = "y up" if y_up else "z up"
+                where = f"NatNet {stream} on {address}:{outlet.port}, {how}, {axes}"
+            elif protocol == "vrpn":
+                outlet = VrpnServer(names, port or 3883, address)
+                where = f"VRPN on {address}:{outlet.port}"
             elif protocol == "zenoh":
                 outlet = ZenohPublisher(clock, listen=[listen])
                 where = f"zenoh on {listen}"
             else:
-                raise InputError(f"--protocol: found {protocol!r}; choose qualisys or zenoh")
+                raise InputError(
+                    f"--protocol: found {protocol!r}; choose qualisys, natnet, vrpn or zenoh"
+                )
             with closing(outlet):
                 typer.echo(f"serving {', '.join(names)}: {where}; Ctrl-C ends")
                 try:

@@ -10,6 +10,8 @@ from crazyarena.errors import InputError
 from crazyarena.mocap.opening import SourceSpec
 from crazyarena.mocap.source import PoseSource
 
+_NUMBERS = ("latency", "stall_after", "retry_after", "connect_timeout", "assemble", "speed")
+
 
 def parse_options(pairs: Sequence[str]) -> dict[str, str]:
     """Read ``KEY=VALUE`` arguments."""
@@ -34,7 +36,7 @@ def named_source(kind: str, host: str | None, pairs: Sequence[str]) -> SourceSpe
     else:
         if host is not None and kind != "replay":
             options["hostname"] = host
-        for key in ("latency", "stall_after", "retry_after", "connect_timeout", "speed"):
+        for key in _NUMBERS:
             if key in options:
                 try:
                     options[key] = float(options[key])

@@ -28,6 +28,7 @@ _LOOK = 0.4  # s, over which the vehicle's estimate must be still, and bodies ar
 _PERIOD = 0.02  # s
 # In the order of the checklist; {} is the vehicle's body.
 _ALWAYS = (
+    "world axes",
     "arena clear",
     "{} connected",
     "{} state",
@@ -145,7 +146,10 @@ class FlightChecklist:
             own,
             controller,
         )
-        machine: tuple[Callable[[pf.Preflight], list[pf.Line]], ...] = (pf.check_strangers,)
+        machine: tuple[Callable[[pf.Preflight], list[pf.Line]], ...] = (
+            pf.check_axes,
+            pf.check_strangers,
+        )
         each: tuple[Callable[[pf.Preflight, pf.VehicleFacts], list[pf.Line]], ...] = (
             pf.check_connected,
             pf.check_state,
@@ -159,6 +163,7 @@ class FlightChecklist:
         checklist = pf.Preflight(
             self._level,
             [fact],
+            poses=bodies.now(),
             bodies=sorted(bodies.now()),
             known=bodies.known(Fence.from_level(self._level)),
             estop=EmergencyStop([], clock),

@@ -316,7 +316,8 @@ class _Gathering:
             if self._pipeline is not None:
                 fact.seen = self._pipeline.estimate(name)
         remember(p, self._rehearsals, self._vehicles)
-        p.bodies = sorted(self._bodies.now())
+        p.poses = self._bodies.now()
+        p.bodies = sorted(p.poses)
         with contextlib.suppress(InputError):  # a contradictory fence has a line of its own
             p.known = self._bodies.known(Fence.from_level(self._level))
         p.gates = self._bodies.gates()

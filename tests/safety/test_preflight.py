@@ -13,6 +13,7 @@ from crazyarena.clock import VirtualClock
 from crazyarena.errors import InputError
 from crazyarena.levels import load_level
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
+from crazyarena.mocap.frames import pose_to_y_up
 from crazyarena.safety import preflight as pf
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.types import Pose, Telemetry, VehicleState
@@ -68,6 +69,18 @@ def telemetry(p: pf.Preflight, **changes) -> pf.Preflight:
 
 def test_everything_in_order_is_green():
     assert red(ready()) == []
+
+
+def test_a_y_up_stream_is_named_with_its_remedy():
+    p = ready()
+    p.poses = {"cf1": Pose(START, turned())}
+    assert red(p) == []
+    p.poses = {"cf1": pose_to_y_up(Pose(START, turned(0.4)))}
+    assert red(p) == ["world axes"]
+    (line,) = [line for line in p.run() if line.name == "world axes"]
+    assert "y-up" in line.found
+    assert "axes=y-up" in line.remedy
+    assert pf.may_fly(pf.Line(x.name, True, "") for x in p.run(["world axes"]) if x.waived)
 
 
 @pytest.mark.parametrize(
