@@ -25,6 +25,7 @@ from crazyarena.runner.rig.rig import Rig
 from crazyarena.runner.rig.stops import StopOptions
 from crazyarena.runner.rig.virtual_arena import VirtualArena
 from crazyarena.runner.trial.options import FlightOptions
+from crazyarena.runner.warm_up import compile_missing
 from crazyarena.safety.limits import Limits
 from crazyarena.sim_backend.crazyradio.environment import with_dongles
 
@@ -97,6 +98,7 @@ class Bench:
 
     def run(self) -> BenchResult:
         """Fly everything."""
+        compile_missing(("arena", "estimator", "referee"), self._console)
         result = BenchResult()
         for index in range(self._runs):
             seed = self._seed

@@ -27,7 +27,7 @@ from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.trial.staging import Staging
 from crazyarena.runner.trial.trial import Trial
 from crazyarena.runner.trial.world import World
-from crazyarena.sim_backend import jit
+from crazyarena.runner.warm_up import compile_missing, parts_of
 
 # What only arena levels need is imported when one is flown: it would double the start-up.
 if TYPE_CHECKING:
@@ -137,14 +137,9 @@ class DryRun:
         """Fly, report, write ``result.json``; returns the result."""
         console = self._console
         level = self._level
+        compile_missing(parts_of(level), console)
         world = self._make_world()
         self.out = _results_folder(self._wanted_out, self._path, level)
-        if jit.is_cold():
-            console.print("Compiling the simulator; only the first run waits for this (< 1 min).")
-            if level.profile is Profile.COMPETITION:
-                from crazyarena.runner.warm_up import compile_competition
-
-                compile_competition()
         try:
             with contextlib.ExitStack() as stack:
                 stack.callback(world.close)

@@ -66,7 +66,9 @@ def fly(
         str | None,
         typer.Option(metavar="ENDPOINT", help="Zenoh endpoint to publish the trial on."),
     ] = None,
-    episodes: Annotated[int | None, typer.Option(min=1)] = None,
+    episodes: Annotated[
+        int | None, typer.Option(min=1, help="How many. Default: the level's own number.")
+    ] = None,
     seed: Seed = None,
     out: Out = None,
     set_: Overrides = None,

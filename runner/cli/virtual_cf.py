@@ -80,12 +80,13 @@ def virtual_cf(
     with bad_input_exits():
         if profile not in _PROFILES:
             raise InputError(f"--profile: found {profile!r}; choose {' or '.join(_PROFILES)}")
+        from rich.console import Console
+
+        from crazyarena.runner.warm_up import compile_missing
         from crazyarena.sim_backend.crtp.host import Options, build
         from crazyarena.sim_backend.crtp.orders import status
-        from crazyarena.sim_backend.jit import is_cold
 
-        if is_cold():
-            typer.echo("Compiling the simulation; this happens once.", err=True)
+        compile_missing(["arena"], Console(stderr=True))
         running = build(
             Options(
                 count=count,

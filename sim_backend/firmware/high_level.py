@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.layout import (
     M_PITCH,
     M_QUAT,
@@ -65,7 +66,6 @@ from crazyarena.sim_backend.firmware.polynomial import (
     EV_YAW,
     PIECE_DURATION,
 )
-from crazyarena.sim_backend.jit import kernel
 
 PARAMS = (
     Param("hlCommander.vtoff", 0.5, 0.5),

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import math
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.power import FULL_SCALE
-from crazyarena.sim_backend.jit import kernel
 from crazyarena.sim_backend.physics.competition_step import B_OMEGA, B_QUAT, B_VEL, BODY_SIZE
 from crazyarena.sim_backend.physics.geometry import NO_CONTACT
 from crazyarena.sim_backend.physics.rigid_body import (

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 SOURCE = """\
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 
 @kernel
 def twice(x):

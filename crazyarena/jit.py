@@ -2,8 +2,9 @@
 
 Numba's on-disk cache only looks at the file a function stands in. Our kernels call each other
 across files and bake in layout constants, so the cache folder carries a digest of the kernel
-libraries (``firmware/``, ``physics/``): an edit there starts a fresh folder instead of running
-stale machine code. Kernels elsewhere may call those, but not each other across files.
+libraries (``firmware/`` and ``physics/`` of ``sim_backend``): an edit there starts a fresh folder
+instead of running stale machine code. Kernels elsewhere may call those, but not each other across
+files.
 
 Within the folder a kernel is found by its module's name and the contents of its file, not by
 where that file stands: installations of the same sources share what one of them has compiled.
@@ -44,9 +45,13 @@ def _cache_root() -> Path:
 @cache
 def cache_folder() -> Path:
     """Folder of this version's compiled kernels (made on first use)."""
-    package = Path(__file__).parent
+    simulator = Path(__file__).parent / "sim_backend"
     digest = hashlib.sha256(numba.__version__.encode())
-    sources = [Path(__file__), *package.glob("firmware/*.py"), *package.glob("physics/*.py")]
+    sources = [
+        Path(__file__),
+        *simulator.glob("firmware/*.py"),
+        *simulator.glob("physics/*.py"),
+    ]
     for source in sorted(sources):
         digest.update(source.name.encode())
         digest.update(source.read_bytes())
@@ -108,9 +113,11 @@ class _Cache(FunctionCache):
             super().save_overload(sig, data)
 
 
-def is_cold() -> bool:
-    """True when no kernel has been compiled yet, so that the first run can say why it waits."""
-    return not any(cache_folder().rglob("*.nbi"))
+def is_cold(*modules: str) -> bool:
+    """True when kernels of one of these modules (``sim_backend.arena_kernel``) were never
+    compiled, so that the first run can say why it waits."""
+    folder = cache_folder()
+    return any(not any((folder / module).glob("*.nbi")) for module in modules)
 
 
 def _once_for_all_integers(dispatcher: Any) -> Any:
