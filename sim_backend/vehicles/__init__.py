@@ -1,5 +1,6 @@
 """Vehicle models: what the firmware assumes, what the body is, and where every number is from."""
 
+from crazyarena.sim_backend.vehicles.choice import VehicleChoice, resolve, vehicle_file
 from crazyarena.sim_backend.vehicles.load import (
     DEFAULT_VEHICLE,
     dump_vehicle,
@@ -14,10 +15,13 @@ __all__ = [
     "DEFAULT_VEHICLE",
     "Rows",
     "Vehicle",
+    "VehicleChoice",
     "default_rows",
     "draw_vehicle",
     "dump_vehicle",
     "load_vehicle",
+    "resolve",
     "shipped_vehicles",
+    "vehicle_file",
     "vehicle_rows",
 ]
