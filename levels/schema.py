@@ -9,7 +9,7 @@ inside the arena, and no random draw can make mass or inertia negative.
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
@@ -135,6 +135,8 @@ class Vehicle(Model):
 
     model: Annotated[str, Field(min_length=1, max_length=1000)] | None = None
     """Name or file of a vehicle model (docs/fidelity.md); the default vehicle if absent."""
+    spread: Flag = False
+    """Simulations draw a vehicle from the spread of the model for every episode."""
     mass: Annotated[Number, Field(gt=0.0, le=1.0)] = 0.03454
     """kg"""
     ixx: Annotated[Number, Field(gt=0.0, le=0.01)] = 1.4e-5

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import CommandError
+from crazyarena.mocap.rotations import rotate
 from crazyarena.runner.records.validate_flights import RealFlight
 from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.arena_kernel import DT
@@ -166,13 +167,6 @@ class _Replay:
     def _frame(self) -> Array:
         """Let the cameras see the vehicle; where they see the tracked body."""
         pose = self.fleet.true_pose(0)
-        body = pose.position + rotated(pose.quaternion, self.offset)
+        body = pose.position + rotate(pose.quaternion, self.offset)
         self.fleet.external_pose(0, Pose(body, pose.quaternion), _SIGHT)
         return body
-
-
-def rotated(quaternion: Array, vector: Array) -> Array:
-    """A vector (3,) in body axes, in world axes; quaternion x, y, z, w."""
-    axis, w = quaternion[:3], quaternion[3]
-    twice = 2.0 * np.cross(axis, vector)
-    return vector + w * twice + np.cross(axis, twice)

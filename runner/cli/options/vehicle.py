@@ -28,6 +28,16 @@ VehicleSet = Annotated[
 ]
 
 
+VehicleSpread = Annotated[
+    bool | None,
+    typer.Option(
+        "--vehicle-spread/--no-vehicle-spread",
+        help="Draw a vehicle from the spread of its model for every episode. Default: as the "
+        "level says (sim2real: yes).",
+    ),
+]
+
+
 def vehicle_choice(vehicle: VehicleName = None, vehicle_set: VehicleSet = None) -> VehicleChoice:
     """A group of options: the name or file of a vehicle, and fields that differ."""
     from crazyarena.sim_backend.vehicles import VehicleChoice

@@ -13,7 +13,7 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import InputError
 from crazyarena.runner.records import validate as va
 from crazyarena.runner.records import validate_flights as vf
-from crazyarena.runner.records.validate_replay import hover_strength, rotated
+from crazyarena.runner.records.validate_replay import hover_strength
 from crazyarena.runner.records.validate_report import save_figure, tables
 from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.physics import arena_plant as ap
@@ -242,14 +242,6 @@ def test_what_is_no_flight_is_told(tmp_path):
             vf.find([path_])
     with pytest.raises(InputError, match="not a NumPy archive"):
         vf.load(tmp_path / "x.npz")
-
-
-def test_rotation_of_an_offset():
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_euler("xyz", [0.3, -0.4, 1.2])
-    vector = np.array([0.01, -0.02, 0.04])
-    np.testing.assert_allclose(rotated(turn.as_quat(), vector), turn.apply(vector), atol=1e-15)
 
 
 @pytest.mark.slow
