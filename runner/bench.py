@@ -28,6 +28,7 @@ from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.warm_up import compile_missing
 from crazyarena.safety.limits import Limits
 from crazyarena.sim_backend.crazyradio.environment import with_dongles
+from crazyarena.sim_backend.vehicles import VehicleChoice
 
 
 @dataclass
@@ -55,6 +56,7 @@ class Bench:
     stops: what stops the flights in real time besides the watchdog.
     waive: lines of the pre-flight checklist that must not ground those.
     radio: over a virtual Crazyradio instead of UDP. cameras: fields of CameraModel.
+    vehicle, spread: as for :class:`~crazyarena.runner.dry_run.DryRun`; both sides fly the same.
     """
 
     def __init__(
@@ -75,6 +77,8 @@ class Bench:
         waive: Sequence[str] = (),
         radio: bool = False,
         cameras: dict[str, Any] | None = None,
+        vehicle: VehicleChoice | None = None,
+        spread: bool | None = None,
     ) -> None:
         self._radio = radio
         self._cameras = cameras
@@ -94,6 +98,8 @@ class Bench:
             "options": options,
             "figure": figure,
             "console": self._console,
+            "vehicle": vehicle,
+            "spread": spread,
         }
 
     def run(self) -> BenchResult:
@@ -127,7 +133,9 @@ class Bench:
         arenas: list[VirtualArena] = []
 
         def open_rig(level: Level, limits: Limits) -> Rig:
-            arena = VirtualArena(level, seed, folder, radio=self._radio, cameras=self._cameras)
+            arena = VirtualArena(
+                level, seed, folder, radio=self._radio, cameras=self._cameras, supply=fly.supply
+            )
             arenas.append(arena)
             try:
                 rig = connected(

@@ -22,10 +22,12 @@ from crazyarena.runner.cli.common import (
 from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.stops import Waive, flight_stops
+from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 
 if TYPE_CHECKING:
     from crazyarena.runner.rig.stops import StopOptions
     from crazyarena.runner.trial.options import FlightOptions
+    from crazyarena.sim_backend.vehicles import VehicleChoice
 
 
 class LinkChoice(StrEnum):
@@ -39,7 +41,7 @@ def register(app: typer.Typer) -> None:
     app.command("bench")(bench)
 
 
-@takes(options=flight_options, stops=flight_stops)
+@takes(vehicle=vehicle_choice, options=flight_options, stops=flight_stops)
 def bench(
     submission: AnySubmission = None,
     level: ArenaLevel = "sim2real",
@@ -57,6 +59,8 @@ def bench(
         float | None, typer.Option(min=10.0, max=500.0, metavar="HZ", help="Camera frames.")
     ] = None,
     *,
+    vehicle: VehicleChoice,
+    vehicle_spread: VehicleSpread = None,
     options: FlightOptions,
     real_time: Annotated[
         bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
@@ -100,6 +104,8 @@ def bench(
             radio=link is LinkChoice.RADIO,
             cameras=None if mocap_rate is None else {"rate": mocap_rate},
             stops=stops("bench"),
+            vehicle=vehicle,
+            spread=vehicle_spread,
         ).run()
         if result.comparison is not None:
             console.print(comparing.table(result.comparison))
