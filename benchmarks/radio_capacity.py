@@ -69,7 +69,7 @@ class Vehicle:
         elif head == b"\x61\x08":
             self._note("pose", round(1e6 * struct.unpack_from("<f", packet, 2)[0]))
         elif head == b"\x61\x09":
-            for ident, x, y, z, _ in struct.iter_unpack("<BhhhI", packet[2:]):
+            for ident, x, y, _, _ in struct.iter_unpack("<BhhhI", packet[2:]):
                 if ident == self.ident:
                     self._note("pose", 1000 * (x + 30000 * y))
         elif head == b"\x91\x03" and self.stopped is None:
