@@ -39,6 +39,7 @@ from crazyarena.runner.steady import steady
 from crazyarena.runner.tracked_world import TrackedWorld
 from crazyarena.safety.events import SafetyEvent
 from crazyarena.safety.limits import PID_BRAKING, Limits
+from crazyarena.sim_backend.crazyradio.environment import with_dongles
 
 if TYPE_CHECKING:
     from crazyarena.runner.campaign.flight import Flight
@@ -184,6 +185,7 @@ def _run(heard: queue.Queue[Message | None], tell: Tell) -> None:
         vehicle=VEHICLE,
         body=BODY,
         limits=_limits(level, plan),
+        environment=with_dongles(place["air"]) if place["air"] else None,
     )
     with contextlib.closing(rig), quiet_collector(), steady(rig.clock):
         _ready(rig, level, plan)
