@@ -18,6 +18,7 @@ from crazyarena.crazyswarm_compat.radio import packets as pk
 NULL = b"\xff"
 _EMERGENCY, _WATCHDOG = 3, 4
 _POSES = (8, 9)
+_LIFTED = (2, 0)  # before what flies, which is (2, 1)
 _ROOM = 64  # packets that wait without being replaced
 
 
@@ -112,21 +113,25 @@ class AirQueue:
             lane.append(Waiting(packet, since))
             return True
 
-    def first(self) -> tuple[Share, float] | None:
-        """Class and age mark of what goes next, None if nothing waits."""
+    def first(self, lifted: Share | None = None) -> tuple[Share, float] | None:
+        """Class and age mark of what goes next, None if nothing waits; what is ``lifted`` goes
+        before setpoints."""
         with self._lock:
-            for share, lane in self._lanes.items():
-                if lane:
-                    return share, lane[0].since
+            for share in self._order(lifted):
+                if self._lanes[share]:
+                    return share, self._lanes[share][0].since
         return None
 
-    def take(self) -> Waiting | None:
+    def take(self, lifted: Share | None = None) -> Waiting | None:
         """The next packet."""
         with self._lock:
-            for lane in self._lanes.values():
-                if lane:
-                    return lane.popleft()
+            for share in self._order(lifted):
+                if self._lanes[share]:
+                    return self._lanes[share].popleft()
         return None
+
+    def _order(self, lifted: Share | None) -> list[Share]:
+        return sorted(self._lanes, key=lambda share: (share, 1) if share != lifted else _LIFTED)
 
     def waits(self, share: Share) -> bool:
         """Whether anything of a class waits."""

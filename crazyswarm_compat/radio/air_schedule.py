@@ -137,18 +137,19 @@ class AirSchedule:
                 self._cast(turn.cast, radio)
                 return True, None
             assert turn.link is not None
-            return self._exchange(turn.link, turn.share, radio)
+            return self._exchange(turn.link, radio)
         finally:
             self.statistics.busy += self._clock.now() - begin
 
-    def _exchange(self, link: GroundLink, share: Share, radio: Radio) -> tuple[bool, str | None]:
+    def _exchange(self, link: GroundLink, radio: Radio) -> tuple[bool, str | None]:
         radio.set_channel(link.tuning.channel)
         radio.set_address(link.tuning.address)
         radio.set_data_rate(link.tuning.rate)
-        status = radio.send_packet(link.frame(self._clock.now()))
+        frame = link.frame(self._clock.now())
+        self.statistics.exchanges[link.sending] += 1
+        status = radio.send_packet(frame)
         if status is None:
             return False, None
-        self.statistics.exchanges[share] += 1
         now = self._clock.now()
         if status.ack:
             link.answered(bytes(status.data), status.retry, now)

@@ -76,7 +76,8 @@ class GroundLink:
 
     def due(self, now: float) -> tuple[Share, float] | float:
         """Class and age mark of what it wants to send now, or how long it has nothing to, s."""
-        waiting = self.queue.first()
+        lifted = self._lifted(now)
+        waiting = self.queue.first(lifted)
         if self.queue.waits(Share.STOP):
             return Share.STOP, now
         if self._unanswered >= _PATIENCE:
@@ -89,9 +90,7 @@ class GroundLink:
             return share, self._pending.since
         if waiting is not None:
             share, since = waiting
-            if share is Share.POSE and now - self._pose_sent > POSE_STARVED:
-                share = Share.FLIGHT
-            return share, since
+            return Share.FLIGHT if share is lifted else share, since
         rest = (
             self._last
             + (_EAGER if self._more or now < self._eager_until or not self.safe else _BUSY_POLL)
@@ -99,15 +98,25 @@ class GroundLink:
         )
         return (Share.POLL, self._last) if rest <= 0 else rest
 
+    @property
+    def sending(self) -> Share:
+        """Class of the packet that was framed last."""
+        return self._pending_share
+
+    def _lifted(self, now: float) -> Share | None:
+        """Poses are as urgent as setpoints to a vehicle that has had none for too long."""
+        return Share.POSE if now - self._pose_sent > POSE_STARVED else None
+
     def frame(self, now: float) -> bytes:
         """The packet to send now; the same again until it is answered."""
         self._last = now
         if self.safe is None:
             return SAFE_LINK
         if self._pending is None:
-            first = self.queue.first()
+            lifted = self._lifted(now)
+            first = self.queue.first(lifted)
             share = Share.POLL if first is None else first[0]
-            self._pending = self.queue.take() or Waiting(NULL, now)
+            self._pending = self.queue.take(lifted) or Waiting(NULL, now)
             self._pending_share = share
             if share is Share.POSE:
                 self._pose_sent = now

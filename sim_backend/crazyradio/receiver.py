@@ -58,7 +58,7 @@ class Receiver:
         self.rssi = rssi
         self._deliver = deliver
         self._power = power
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # who takes a packet may answer at once
         self._waiting: deque[bytes] = deque()
         self.reset()
 

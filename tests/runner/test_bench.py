@@ -1,4 +1,4 @@
-"""The bench: cflib over UDP, cameras over zenoh, real time. Long, and in need of two CPUs."""
+"""The bench: cflib over UDP and radio, cameras over zenoh, real time. Long, and in need of two CPUs."""
 
 import json
 import signal
@@ -40,6 +40,19 @@ def test_a_slow_controller_is_as_slow_in_the_dry_run(tmp_path):
     compared = compare([out / "dry_00"], [out / "bench_00"])
     assert compared.distance.mean() <= 0.05
     assert compared.distance.max() <= 0.10
+
+
+def test_over_a_virtual_crazyradio(tmp_path):
+    entry = tmp_path / "entry.py"
+    entry.write_text(CIRCLE.format(think=0.0))
+    out = tmp_path / "out"
+    options = ("--link", "radio", "--mocap-rate", "100", "--no-dry", "--no-figure")
+    process = crazyarena("bench", entry, "--out", out, *options, *sets(EMPTY))
+    printed, _ = process.communicate(timeout=300)
+    document = json.loads((out / "bench_00" / "result.json").read_text())
+    assert document["episodes"][0]["termination"] == "MAX EPISODE DURATION", printed
+    assert process.returncode == 0
+    assert str(document["backend"]).startswith("radio://")
 
 
 def test_a_killed_bench_leaves_no_process(tmp_path):
