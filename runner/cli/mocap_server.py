@@ -10,7 +10,6 @@ from crazyarena.runner.cli.common import bad_input_exits
 from crazyarena.runner.cli.options.mocap import (
     HOST_HELP,
     OPTION_HELP,
-    nominal_track,
 )
 
 
@@ -93,6 +92,7 @@ def mocap_server(
             track = {}
             if level is not None:
                 from crazyarena.levels import load_level
+                from crazyarena.safety.placement import nominal_track
 
                 track = dict(nominal_track(load_level(level)))
             flight = circling(names)
