@@ -54,7 +54,7 @@ def allowed(level: Level) -> dict[str, Allowed]:
     """How far each body of the track may be from nominal."""
     spread = level.randomization.gates_and_obstacles
     counts = {"gate": len(level.track.gates), "obstacle": len(level.track.obstacles)}
-    result = {}
+    result: dict[str, Allowed] = {}
     for kind, count in counts.items():
         if spread is None:
             low, high = 0.0, 0.0
