@@ -22,6 +22,7 @@ from crazyarena.types import Pose, PoseFrame, Vector
 FORMAT = "crazyarena-measured-track"
 VERSION = 1
 _LATEST = 10  # frames that tell where a moving body is
+_LONGEST = 4 << 20  # characters of a measured track
 _SLOWEST = 4  # frames from one sight of a body to the next, at most
 
 
@@ -263,21 +264,31 @@ def read_track(path: str | Path) -> dict[str, Pose]:
     """Read a measured track; raises InputError naming file and field."""
     path = Path(path)
     try:
-        document = json.loads(path.read_text())
+        with path.open(encoding="utf-8") as stream:
+            text = stream.read(_LONGEST + 1)
+        if len(text) > _LONGEST:
+            raise InputError(f"{path}: not a measured track: longer than {_LONGEST} characters")
+        document = json.loads(text)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: not a measured track: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: not a measured track: nested too deeply") from None
     if not isinstance(document, dict) or (document.get("format"), document.get("version")) != (
         FORMAT,
         VERSION,
     ):
         raise InputError(f"{path}: field format: need {FORMAT} version {VERSION}")
+    bodies = document.get("bodies", {})
+    if not isinstance(bodies, dict):
+        raise InputError(f"{path}: field bodies: need bodies by name")
     poses = {}
-    for name, body in document.get("bodies", {}).items():
+    for name, body in bodies.items():
         try:
             position = np.array(body["position"], dtype=float)
             quaternion = np.array(body["quaternion"], dtype=float)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path}: body {name}: {error}") from None
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            what = f"missing {error}" if isinstance(error, KeyError) else str(error)
+            raise InputError(f"{path}: body {name[:80]!r}: {what}") from None
         good = position.shape == (3,) and quaternion.shape == (4,)
         good = good and bool(np.isfinite([*position, *quaternion]).all())
         if not good or abs(float(np.linalg.norm(quaternion)) - 1.0) > 1e-6:
