@@ -5,38 +5,22 @@ The payload is :mod:`crazyarena.mocap.wire`; docs/mocap.md states key and qualit
 
 from __future__ import annotations
 
-import ctypes
 import math
-import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from crazyarena.clock import Clock
-from crazyarena.errors import InputError
 from crazyarena.mocap.assembly import SAME, Assembler, take_assembled
+from crazyarena.mocap.pin import PublisherPin
 from crazyarena.mocap.source import FrameQueue, SourceState, SourceStatus
 from crazyarena.mocap.stamps import HostStamps, StampReader, host_id, host_time, new_run
 from crazyarena.mocap.wire import PayloadError, WireFrame, decode, encode
-from crazyarena.mocap.zenoh_session import open_session
+from crazyarena.mocap.zenoh_session import keep_thread_state, open_session
 from crazyarena.secret import read_secret
 from crazyarena.types import PoseFrame
 
 DEFAULT_KEY = "crazyarena/mocap/frames"
-# Has an attribute in threads whose state is kept.
-_kept = threading.local()
-
-
-def keep_thread_state() -> None:
-    """Keep the interpreter's state of a thread that it did not start, until the thread ends.
-
-    CPython makes one for every call that comes from such a thread and drops it afterwards, and
-    both map memory: then the kernel makes all processors at work on the process forget its
-    addresses, and waits for each of them, although a virtual one may not be running at all.
-    """
-    if not hasattr(_kept, "thread"):
-        ctypes.pythonapi.PyGILState_Ensure()
-        _kept.thread = True
 
 
 class ZenohPublisher:
@@ -101,31 +85,6 @@ class ZenohPublisher:
         self._publisher.undeclare()
         if self._owns_session:
             self._session.close()
-
-
-class PublisherPin:
-    """Believes the publisher that came first, until it is silent for ``release_after`` s.
-
-    Raises
-    ------
-    InputError: ``release_after`` is not above 0.
-    """
-
-    def __init__(self, release_after: float = 0.5) -> None:
-        if not release_after > 0.0:
-            raise InputError(f"mocap release_after: found {release_after}; need seconds above 0")
-        self._release_after = release_after
-        self._heard = -math.inf
-        self.run = 0
-
-    def believes(self, run: int, now: float) -> bool:
-        """Whether a frame of the publisher's run ``run`` counts at ``now``, s."""
-        if run != self.run:
-            if now - self._heard < self._release_after:
-                return False
-            self.run = run
-        self._heard = now
-        return True
 
 
 class _Order:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,8 @@ from crazyarena.errors import DependencyMissing, InputError
 
 # Where programs of one machine meet that were given no endpoint: the first one listens.
 LOCAL = "tcp/127.0.0.1:7447"
+# Has an attribute in threads whose state is kept.
+_kept = threading.local()
 _ANY_PORT = "tcp/127.0.0.1:0"
 _RETRY = "{period_init_ms: 100, period_max_ms: 1000, period_increase_factor: 1.5}"
 
@@ -88,3 +92,15 @@ def _from_file(zenoh: Any, path: Path) -> Any:
     except zenoh.ZError as error:
         text = " ".join(str(error).split())
         raise InputError(f"{path}: not a zenoh configuration (JSON5): {text}") from None
+
+
+def keep_thread_state() -> None:
+    """Keep the interpreter's state of a thread that it did not start, until the thread ends.
+
+    CPython makes one for every call that comes from such a thread and drops it afterwards, and
+    both map memory: then the kernel makes all processors at work on the process forget its
+    addresses, and waits for each of them, although a virtual one may not be running at all.
+    """
+    if not hasattr(_kept, "thread"):
+        ctypes.pythonapi.PyGILState_Ensure()
+        _kept.thread = True

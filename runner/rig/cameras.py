@@ -35,7 +35,7 @@ def parse_options(pairs: Sequence[str]) -> dict[str, str]:
 def named_source(kind: str, host: str | None, pairs: Sequence[str]) -> SourceSpec:
     """The source of ``--mocap``, ``--host`` and ``--option``, to be opened."""
     options: dict[str, Any] = dict(parse_options(pairs))
-    if kind == "zenoh":
+    if kind in ("zenoh", "ros2"):
         for key in ("connect", "listen"):
             if key in options:
                 options[key] = options[key].split(",")

@@ -19,10 +19,11 @@ from crazyarena.errors import InputError
 from crazyarena.mocap.check import MocapCheck
 from crazyarena.mocap.estimator import PoseEstimator
 from crazyarena.mocap.events import EventKind
+from crazyarena.mocap.pin import PublisherPin
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.mocap.source import SourceState, SourceStatus
 from crazyarena.mocap.wire import PayloadError, decode, encode
-from crazyarena.mocap.zenoh_link import PublisherPin, ZenohPublisher, ZenohSource
+from crazyarena.mocap.zenoh_link import ZenohPublisher, ZenohSource
 from crazyarena.mocap.zenoh_session import open_session
 from crazyarena.secret import read_secret
 from crazyarena.types import Pose, PoseFrame
