@@ -80,7 +80,7 @@ class PoseFeed:
         kind, _, host = spec.partition(":")
         options: dict[str, Any] = {}
         if host:
-            options = {"connect": [host]} if kind == "zenoh" else {"hostname": host}
+            options = {"connect": [host]} if kind in ("zenoh", "ros2") else {"hostname": host}
         parts = pose_parts()
         source = parts["open_source"](kind, clock=clock, **options)
         names = {vehicle.name: vehicle.id for vehicle in fleet.vehicles}

@@ -220,6 +220,11 @@ class MocapCheck:
                 f"{status.malformed} payloads could not be read ({status.error}); another "
                 "program or version publishes under the same key."
             )
+        if status.foreign:
+            problems.append(
+                f"{status.foreign} frames of another publisher were ignored: two programs publish "
+                "poses under the same key. Stop one, or give each a key of its own."
+            )
         for name in self._expected:
             if self._frames and not self._bodies[name].seen:
                 others = sorted(n for n, b in self._bodies.items() if b.seen)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import math
 import os
 import signal
 import socket
@@ -69,7 +70,7 @@ def main(
             position = np.array(body.position, dtype=float)
             turn = body.rotation
             quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
-            norm = float(np.sqrt(quaternion @ quaternion))
+            norm = math.hypot(*quaternion.tolist())
             # Some vendors report an unseen body as NaN or as a zero quaternion.
             if np.isfinite(position).all() and 0.5 < norm < 2.0:
                 bodies[name] = Pose(position, quaternion / norm)

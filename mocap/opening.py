@@ -10,6 +10,7 @@ from crazyarena.clock import Clock
 from crazyarena.errors import InputError
 from crazyarena.mocap.motioncapture_source import VENDOR_TYPES, MotionCaptureSource
 from crazyarena.mocap.replay import ReplaySource
+from crazyarena.mocap.ros2_source import Ros2Source
 from crazyarena.mocap.source import PoseSource
 from crazyarena.mocap.vrpn_source import VrpnSource
 from crazyarena.mocap.zenoh_link import ZenohSource
@@ -20,7 +21,7 @@ def open_source(kind: str, *, clock: Clock, **options: Any) -> PoseSource:
 
     Parameters
     ----------
-    kind: ``zenoh``, ``replay``, or a type of the ``motioncapture`` package (``vicon``,
+    kind: ``zenoh``, ``ros2``, ``replay``, or a type of the ``motioncapture`` package (``vicon``,
         ``qualisys``, ``optitrack``, ``nokov``, ``fzmotion``, ``vrpn``, ...), whose own option
         names (``hostname``, ``port``, ``interface_ip``, ...) are passed through.
         ``vrpn`` is a client of our own unless ``client=motioncapture``.
@@ -43,10 +44,12 @@ def open_source(kind: str, *, clock: Clock, **options: Any) -> PoseSource:
         options["vendor"] = kind
     elif kind == "zenoh":
         opener = ZenohSource
+    elif kind == "ros2":
+        opener = Ros2Source
     elif kind == "replay":
         opener = ReplaySource
     else:
-        known = ", ".join(["zenoh", "replay", *VENDOR_TYPES])
+        known = ", ".join(["zenoh", "ros2", "replay", *VENDOR_TYPES])
         raise InputError(f"mocap source: found {kind!r}; choose one of {known}")
     try:
         return opener(clock=clock, **options)

@@ -26,7 +26,8 @@ class SourceStatus:
     """Counters since the source was opened.
 
     lost: gaps in the frame ids; dropped: frames thrown away because nobody fetched them;
-    malformed: payloads that could not be read; error: the last trouble in words.
+    malformed: payloads that could not be read; foreign: frames of another publisher than the one
+    that is believed; error: the last trouble in words.
     """
 
     state: SourceState = SourceState.CONNECTING
@@ -36,6 +37,7 @@ class SourceStatus:
     malformed: int = 0
     reconnects: int = 0
     error: str | None = None
+    foreign: int = 0
 
 
 @runtime_checkable
@@ -112,6 +114,7 @@ class FrameQueue:
                 status.malformed,
                 reconnects,
                 status.error,
+                status.foreign,
             )
             self._ready.notify()
 
@@ -130,6 +133,11 @@ class FrameQueue:
         """Count one malformed payload."""
         with self._ready:
             self._status = replace(self._status, malformed=self._status.malformed + 1, error=reason)
+
+    def turn_away(self, reason: str) -> None:
+        """Count one frame of a publisher that is not believed."""
+        with self._ready:
+            self._status = replace(self._status, foreign=self._status.foreign + 1, error=reason)
 
     def take(self, timeout: float) -> list[PoseFrame]:
         with self._ready:

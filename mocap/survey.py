@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,50 @@ from crazyarena.types import Pose, PoseFrame, Vector
 FORMAT = "crazyarena-measured-track"
 VERSION = 1
 _LATEST = 10  # frames that tell where a moving body is
+_LONGEST = 4 << 20  # characters of a measured track
 _SLOWEST = 4  # frames from one sight of a body to the next, at most
+
+
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """How far a body may be from nominal: ``(low, high)`` of x, y, z in m and of yaw in rad."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    z: tuple[float, float]
+    yaw: tuple[float, float]
+
+
+def misplaced(
+    pose: Pose, nominal: Pose, allowed: Allowed, full_turn: bool = False, height: bool = True
+) -> str | None:
+    """Say how a body is out of its tolerance, axis by axis; None when it is not.
+
+    ``full_turn`` False takes a body turned by half a turn for the same; ``height`` False does
+    not look at z.
+    """
+    off = (pose.position - nominal.position).tolist()
+    for axis, value, (low, high) in zip("xyz", off, (allowed.x, allowed.y, allowed.z), strict=True):
+        if axis == "z" and not height:
+            continue
+        if not low <= value <= high:
+            return (
+                f"stands {value * 1e2:+.1f} cm from its nominal place in {axis}; "
+                f"{low * 1e2:+.1f} to {high * 1e2:+.1f} cm are allowed"
+            )
+    low, high = allowed.yaw
+    turn = _turned(pose, nominal, full_turn)
+    if not low <= turn <= high:
+        return (
+            f"is turned by {math.degrees(turn):+.1f} degrees against nominal; "
+            f"{math.degrees(low):+.1f} to {math.degrees(high):+.1f} are allowed"
+        )
+    return None
+
+
+def _turned(pose: Pose, nominal: Pose, full_turn: bool) -> float:
+    period = 2.0 * math.pi if full_turn else math.pi
+    return _wrap(_yaw(pose.quaternion) - _yaw(nominal.quaternion), period)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +74,9 @@ class SurveyConfig:
 
     frames: frames to average; min_seen: share of them in which every body must appear, or of
     every second, ... up to fourth, for trackers that are slower than others;
-    position_tolerance, yaw_tolerance, tilt_tolerance: largest deviation from nominal, m and
-    rad; max_spread: largest standard deviation of a body's position, m (it must stand still).
+    allowed: how far each body may be from nominal, by name; for others position_tolerance, of each
+    axis, and yaw_tolerance, m and rad; tilt_tolerance, rad; max_spread: largest standard deviation
+    of a body's position, m (it must stand still).
     ``full_turn`` False compares yaw modulo 180 degrees, for gates without a front.
     """
 
@@ -43,6 +87,13 @@ class SurveyConfig:
     tilt_tolerance: float = math.radians(5.0)
     max_spread: float = 0.005
     full_turn: bool = True
+    allowed: Mapping[str, Allowed] = field(default_factory=dict)
+
+    def rule(self, name: str) -> Allowed:
+        """How far the body ``name`` may be from nominal."""
+        reach = (-self.position_tolerance, self.position_tolerance)
+        turn = (-self.yaw_tolerance, self.yaw_tolerance)
+        return self.allowed.get(name, Allowed(reach, reach, reach, turn))
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,8 +222,8 @@ def _measure(
     quaternion = mean_quaternion(quaternions[kept])
     spread = float(np.sqrt(positions[kept].var(axis=0).sum()))
     deviation = float(np.linalg.norm(position - nominal.position))
-    period = 2.0 * math.pi if config.full_turn else math.pi
-    yaw = _wrap(_yaw(quaternion) - _yaw(nominal.quaternion), period)
+    pose = Pose(position, quaternion)
+    yaw = _turned(pose, nominal, config.full_turn)
     x, y, _, _ = quaternion.tolist()
     tilt = math.acos(min(1.0, max(-1.0, 1.0 - 2.0 * (x * x + y * y))))
     seen = earlier + int(kept.sum())
@@ -183,21 +234,11 @@ def _measure(
             f"{name} moves by {spread * 1e3:.1f} mm; it must stand still "
             f"({config.max_spread * 1e3:.1f} mm)"
         )
-    elif not moving and deviation > config.position_tolerance:
-        problem = (
-            f"{name} stands {deviation * 1e2:.1f} cm from its nominal place; at most "
-            f"{config.position_tolerance * 1e2:.1f} cm are allowed"
-        )
-    elif not moving and abs(yaw) > config.yaw_tolerance:
-        problem = (
-            f"{name} is turned by {math.degrees(yaw):.1f} degrees against nominal; at most "
-            f"{math.degrees(config.yaw_tolerance):.1f} are allowed"
-        )
+    elif not moving and (wrong := misplaced(pose, nominal, config.rule(name), config.full_turn)):
+        problem = f"{name} {wrong}"
     elif tilt > config.tilt_tolerance:
         problem = f"{name} leans by {math.degrees(tilt):.1f} degrees; straighten it"
-    return SurveyedBody(
-        name, Pose(position, quaternion), seen, deviation, yaw, tilt, spread, problem
-    )
+    return SurveyedBody(name, pose, seen, deviation, yaw, tilt, spread, problem)
 
 
 def write_track(path: str | Path, report: SurveyReport, level: str = "") -> None:
@@ -223,21 +264,31 @@ def read_track(path: str | Path) -> dict[str, Pose]:
     """Read a measured track; raises InputError naming file and field."""
     path = Path(path)
     try:
-        document = json.loads(path.read_text())
+        with path.open(encoding="utf-8") as stream:
+            text = stream.read(_LONGEST + 1)
+        if len(text) > _LONGEST:
+            raise InputError(f"{path}: not a measured track: longer than {_LONGEST} characters")
+        document = json.loads(text)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: not a measured track: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: not a measured track: nested too deeply") from None
     if not isinstance(document, dict) or (document.get("format"), document.get("version")) != (
         FORMAT,
         VERSION,
     ):
         raise InputError(f"{path}: field format: need {FORMAT} version {VERSION}")
+    bodies = document.get("bodies", {})
+    if not isinstance(bodies, dict):
+        raise InputError(f"{path}: field bodies: need bodies by name")
     poses = {}
-    for name, body in document.get("bodies", {}).items():
+    for name, body in bodies.items():
         try:
             position = np.array(body["position"], dtype=float)
             quaternion = np.array(body["quaternion"], dtype=float)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path}: body {name}: {error}") from None
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            what = f"missing {error}" if isinstance(error, KeyError) else str(error)
+            raise InputError(f"{path}: body {name[:80]!r}: {what}") from None
         good = position.shape == (3,) and quaternion.shape == (4,)
         good = good and bool(np.isfinite([*position, *quaternion]).all())
         if not good or abs(float(np.linalg.norm(quaternion)) - 1.0) > 1e-6:

@@ -196,7 +196,7 @@ class _Trackers:
             raise wire.VrpnError("a pose of a tracker without name, or of another length")
         sensor, _, *numbers = wire.POSE.unpack(message.body)
         values = np.array(numbers)
-        norm = float(np.sqrt(values[3:] @ values[3:])) if np.isfinite(values).all() else 0.0
+        norm = math.hypot(*values[3:].tolist()) if np.isfinite(values).all() else 0.0
         # Unseen bodies come as NaN or as a zero quaternion.
         if not 0.5 < norm < 2.0:
             return None

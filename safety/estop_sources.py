@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from crazyarena.errors import DependencyMissing, InputError
-from crazyarena.mocap.zenoh_link import open_session
+from crazyarena.mocap.zenoh_session import open_session
 from crazyarena.safety.estop import DeadMan, StopButton
 from crazyarena.safety.estop_token import TokenCheck, make_message
 
@@ -144,7 +144,7 @@ class ZenohSource:
     Parameters
     ----------
     check: with a secret, what bears no valid token is refused and counted.
-    connect, listen: zenoh endpoints, see :func:`crazyarena.mocap.zenoh_link.open_session`.
+    connect, listen: zenoh endpoints, see :func:`crazyarena.mocap.zenoh_session.open_session`.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class ZenohSource:
     ) -> None:
         self._stop = stop
         self.check = check
-        self._session = open_session(connect, listen)
+        self._session = open_session(connect, listen, network=True)
         import zenoh
 
         handler = zenoh.handlers.Callback(self._receive, indirect=False)
@@ -191,7 +191,7 @@ def stop_over_zenoh(
     Sent at once for whoever needs no session name, and again to each session that answers
     within ``patience`` s.
     """
-    session = open_session(connect)
+    session = open_session(connect, network=True)
     try:
         import zenoh
 

@@ -21,9 +21,11 @@ from crazyarena.errors import InputError
 from crazyarena.levels import Level
 from crazyarena.mocap.axes import recognised_axes
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
+from crazyarena.mocap.survey import misplaced
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.monitors import CAN_FLY, CRASHED, LOCKED, TUMBLED
+from crazyarena.safety.placement import allowed, nominal_track
 from crazyarena.types import Pose, Telemetry
 
 _CAN_ARM, _ARMED = 1 << 0, 1 << 1
@@ -58,7 +60,6 @@ class Tolerances:
     position, yaw: between the cameras and the vehicle's own estimate, m and rad.
     spread: m, of the vehicle's estimate over the last samples.
     height: m, of a standing vehicle over the level's start.
-    gate_position, gate_yaw: between a surveyed gate and the level, beyond its random range.
     disk: bytes free. timer: s, latest wake-up of a short sleep.
     test_age: s, since the emergency stop was last tried. body_age: s, since a vehicle was tipped.
     """
@@ -68,8 +69,6 @@ class Tolerances:
     yaw: float = math.radians(10.0)
     spread: float = 0.01
     height: float = 0.05
-    gate_position: float = 0.1
-    gate_yaw: float = 0.15
     disk: int = 500_000_000
     timer: float = 0.002
     test_age: float = 3600.0
@@ -183,33 +182,27 @@ def _gates(p: Preflight) -> list[Line]:
     remedy = "survey the gates, or correct their poses in the level file"
     if missing:
         return [Line("gates", False, f"gates {missing} not surveyed", remedy)]
-    spread = p.level.randomization.gates_and_obstacles
-    room = max((abs(v) for v in spread.gates), default=0.0) if spread is not None else 0.0
-    t = p.tolerances
+    nominal, rules = nominal_track(p.level), allowed(p.level)
     bad = []
     for index, gate in enumerate(wanted):
         if gate.tracked:
             continue  # it moves; that it is seen is all that can be asked of it
-        pose = p.gates[index]
-        x, y, _ = pose.position.tolist()
-        off = math.hypot(x - gate.x, y - gate.y)
-        # A gate turned by half a turn is the same gate.
-        turn = abs(math.remainder(_yaw(pose.quaternion) - gate.yaw, math.pi))
-        if off > t.gate_position + math.sqrt(2.0) * room or turn > t.gate_yaw + room:
-            bad.append(f"gate {index} is {off:.2f} m and {math.degrees(turn):.0f} deg off")
+        name = f"gate{index + 1}"
+        wrong = misplaced(p.gates[index], nominal[name], rules[name], height=False)
+        if wrong is not None:
+            bad.append(f"gate {index} {wrong}")
+    for name, rule in rules.items():
+        if name in p.poses and not name.startswith("gate"):
+            wrong = misplaced(p.poses[name], nominal[name], rule, height=False)
+            if wrong is not None:
+                bad.append(f"{name} {wrong}")
     return [Line("gates", not bad, "; ".join(bad) or f"{len(wanted)} surveyed", remedy)]
 
 
 def check_axes(p: Preflight) -> list[Line]:
     """Whether the cameras' world is ours, from what stands where it should and upright."""
     track = p.level.track
-    places = {
-        f"gate{i + 1}": np.array([g.row[0], g.row[1], g.row[2]]) for i, g in enumerate(track.gates)
-    }
-    places |= {
-        f"obstacle{i + 1}": np.array([o.row[0], o.row[1], o.row[2]])
-        for i, o in enumerate(track.obstacles)
-    }
+    places = {name: pose.position for name, pose in nominal_track(p.level).items()}
     if len(p.vehicles) == 1:
         places[p.vehicles[0].body] = np.array(p.level.start.position, dtype=float)
     for i in track.tracked:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -10,7 +11,6 @@ from crazyarena.runner.cli.common import bad_input_exits
 from crazyarena.runner.cli.options.mocap import (
     HOST_HELP,
     OPTION_HELP,
-    nominal_track,
 )
 
 
@@ -64,8 +64,20 @@ def mocap_server(
         bool, typer.Option("--y-up", help="Axes as Motive has them by default (natnet).")
     ] = False,
     listen: Annotated[
-        str, typer.Option(help="Endpoint to listen on (zenoh).")
-    ] = "tcp/127.0.0.1:7447",
+        str | None,
+        typer.Option(
+            help="Endpoint to listen on (zenoh), e.g. tcp/10.0.0.5:7447; without one, only this "
+            "machine can hear."
+        ),
+    ] = None,
+    token: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Sign every frame with this file's secret (zenoh)."),
+    ] = None,
+    zenoh_config: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Zenoh configuration: TLS, users, endpoints (zenoh)."),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the simulated cameras.")] = 0,
     seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after this long.")] = None,
 ) -> None:
@@ -93,6 +105,7 @@ def mocap_server(
             track = {}
             if level is not None:
                 from crazyarena.levels import load_level
+                from crazyarena.safety.placement import nominal_track
 
                 track = dict(nominal_track(load_level(level)))
             flight = circling(names)
@@ -118,8 +131,10 @@ def mocap_server(
                 outlet = VrpnServer(names, port or 3883, address)
                 where = f"VRPN on {address}:{outlet.port}"
             elif protocol == "zenoh":
-                outlet = ZenohPublisher(clock, listen=[listen])
-                where = f"zenoh on {listen}"
+                outlet = ZenohPublisher(
+                    clock, listen=[listen] if listen else (), config=zenoh_config, token=token
+                )
+                where = f"zenoh on {listen or zenoh_config or 'this machine'}"
             else:
                 raise InputError(
                     f"--protocol: found {protocol!r}; choose qualisys, natnet, vrpn or zenoh"

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crazyarena.errors import InputError
+from crazyarena.mcap_reading import LARGEST, chunk_records
 
 _FIELD = re.compile(r"^float64(?:\[(\d+)\])?\s+(\w+)$")
 
@@ -63,7 +64,7 @@ def read(file: Path) -> Recording:
     """Read a recording, finished or cut short; raises InputError if it is none."""
     from mcap.exceptions import McapError
     from mcap.records import Channel, Chunk, DataEnd, Message, Metadata, Schema
-    from mcap.stream_reader import StreamReader, breakup_chunk
+    from mcap.stream_reader import StreamReader
 
     schemas: dict[int, Any] = {}
     channels: dict[int, Any] = {}
@@ -81,7 +82,7 @@ def read(file: Path) -> Recording:
             elif isinstance(record, Message):
                 payloads.setdefault(record.channel_id, []).append(record.data)
             elif isinstance(record, Chunk):
-                take(breakup_chunk(record))
+                take(chunk_records(record))
             elif isinstance(record, Metadata) and record.name == "crazyarena":
                 metadata.update(record.metadata)
             elif isinstance(record, DataEnd):
@@ -90,7 +91,7 @@ def read(file: Path) -> Recording:
 
     with open(file, "rb") as stream:
         try:
-            take(StreamReader(stream, emit_chunks=True).records)
+            take(StreamReader(stream, emit_chunks=True, record_size_limit=LARGEST).records)
         except McapError as error:
             if not channels:
                 raise InputError(f"{file}: not an MCAP recording: {error}") from error

@@ -10,7 +10,15 @@ from crazyarena.errors import InputError
 from crazyarena.mocap.opening import SourceSpec
 from crazyarena.mocap.source import PoseSource
 
-_NUMBERS = ("latency", "stall_after", "retry_after", "connect_timeout", "assemble", "speed")
+_NUMBERS = (
+    "latency",
+    "stall_after",
+    "retry_after",
+    "connect_timeout",
+    "assemble",
+    "release_after",
+    "speed",
+)
 
 
 def parse_options(pairs: Sequence[str]) -> dict[str, str]:
@@ -27,23 +35,20 @@ def parse_options(pairs: Sequence[str]) -> dict[str, str]:
 def named_source(kind: str, host: str | None, pairs: Sequence[str]) -> SourceSpec:
     """The source of ``--mocap``, ``--host`` and ``--option``, to be opened."""
     options: dict[str, Any] = dict(parse_options(pairs))
-    if kind == "zenoh":
+    if kind in ("zenoh", "ros2"):
         for key in ("connect", "listen"):
             if key in options:
                 options[key] = options[key].split(",")
         if host is not None:
             options["connect"] = [host]
-    else:
-        if host is not None and kind != "replay":
-            options["hostname"] = host
-        for key in _NUMBERS:
-            if key in options:
-                try:
-                    options[key] = float(options[key])
-                except ValueError:
-                    raise InputError(
-                        f"--option {key}: found {options[key]!r}; need a number"
-                    ) from None
+    elif host is not None and kind != "replay":
+        options["hostname"] = host
+    for key in _NUMBERS:
+        if key in options:
+            try:
+                options[key] = float(options[key])
+            except ValueError:
+                raise InputError(f"--option {key}: found {options[key]!r}; need a number") from None
     return SourceSpec(kind, options)
 
 

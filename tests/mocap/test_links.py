@@ -26,7 +26,8 @@ from crazyarena.mocap.sim_source import SimSource
 from crazyarena.mocap.source import SourceState
 from crazyarena.mocap.vendor_server import QualisysServer
 from crazyarena.mocap.wire import encode
-from crazyarena.mocap.zenoh_link import ZenohPublisher, ZenohSource, open_session
+from crazyarena.mocap.zenoh_link import ZenohPublisher, ZenohSource
+from crazyarena.mocap.zenoh_session import open_session
 from crazyarena.types import Pose, PoseFrame
 from tests.waiting import eventually
 

@@ -21,7 +21,7 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.radio import RadioBackend, RadioOptions
 from crazyarena.levels import load_level
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
-from crazyarena.mocap.zenoh_link import open_session
+from crazyarena.mocap.zenoh_session import open_session
 from crazyarena.safety.estop import DeadMan, EmergencyStop, interrupt_policy
 from crazyarena.safety.estop_sources import (
     ZENOH_KEY,
