@@ -42,6 +42,9 @@ class Limits:
     controller_warn, controller_hold: s since the contestant's last answer; setpoints that stay
         away longer than 0.5 s would make the firmware level out.
     late_warn, late_hold: lateness of a control step, s.
+    turn_warn: rad that a rigid body may be turned against its vehicle (safety/heading.py).
+    turn_cut: the same at which motors are cut: hold and land need the heading.
+    yaw_warn, yaw_cut: rad by which cameras and gyroscope may come apart in yaw.
     clock_step: s, between two clocks that should run alike.
     people_distance: m between a vehicle and a person, horizontally, at which motors are cut.
     dead_man: s since the operator last held the key.
@@ -99,6 +102,10 @@ class Limits:
     controller_hold: float = 0.4
     late_warn: float = 0.03
     late_hold: float = 0.25
+    turn_warn: float = 0.26
+    turn_cut: float = 0.52
+    yaw_warn: float = 0.25
+    yaw_cut: float = 0.5
     clock_step: float = 0.05
     people_distance: float = 1.0
     dead_man: float = 0.5
@@ -136,6 +143,8 @@ class Limits:
         self._ordered("battery_land", "battery_warn")
         self._ordered("following", "following_land")
         self._ordered("max_tilt", "tumble_tilt")
+        self._ordered("turn_warn", "turn_cut")
+        self._ordered("yaw_warn", "yaw_cut")
         self._ordered("setpoint_speed", "max_speed")
 
     def _ordered(self, *names: str) -> None:

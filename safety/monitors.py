@@ -52,6 +52,7 @@ class Rule:
     ----------
     stages: each is watched by itself.
     below: small values are the bad ones.
+    tell: what else there is to say about it.
     """
 
     name: str
@@ -59,16 +60,18 @@ class Rule:
     measure: Measure
     stages: tuple[Stage, ...]
     below: bool = False
+    tell: Callable[[Observation], str] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A rule that is broken now."""
+    """A rule that is broken now; ``detail`` is for people."""
 
     rule: str
     action: Action
     measured: float
     limit: float
+    detail: str = ""
 
 
 def _number(value: float | str, limits: Limits) -> float:
@@ -187,6 +190,33 @@ def _clock(obs: Observation, fence: Fence, limits: Limits) -> float | None:
     return None if obs.clock_error is None else abs(obs.clock_error)
 
 
+# Shares of an angle that must be beyond its own uncertainty to be believed.
+_WARN_SURELY, _CUT_SURELY = 0.4, 0.6
+
+
+def _turned(obs: Observation, fence: Fence, limits: Limits) -> float | None:
+    return _at_least(obs, _WARN_SURELY * limits.turn_warn)
+
+
+def _turned_far(obs: Observation, fence: Fence, limits: Limits) -> float | None:
+    return _at_least(obs, _CUT_SURELY * limits.turn_cut)
+
+
+def _at_least(obs: Observation, surely: float) -> float | None:
+    turned = obs.turned
+    if turned is None:
+        return None
+    return abs(turned.angle) if turned.surely >= surely else 0.0
+
+
+def _yaw_apart(obs: Observation, fence: Fence, limits: Limits) -> float | None:
+    return None if obs.turned is None else abs(obs.turned.yaw)
+
+
+def _how_turned(obs: Observation) -> str:
+    return "" if obs.turned is None else obs.turned.remedy
+
+
 WARN, HOLD, LAND, CUT = Action.WARN, Action.HOLD, Action.LAND, Action.CUT
 
 RULES: tuple[Rule, ...] = (
@@ -297,6 +327,17 @@ RULES: tuple[Rule, ...] = (
         _told("lateness"),
         (Stage("late_warn", WARN), Stage("late_hold", HOLD)),
     ),
+    # While the vehicle still stands there is nothing to see, and once it has left the ground there
+    # is little time.
+    Rule("body_turned", When.ACTIVE, _turned, (Stage("turn_warn", WARN),), tell=_how_turned),
+    Rule("body_turned_far", When.ACTIVE, _turned_far, (Stage("turn_cut", CUT),), tell=_how_turned),
+    Rule(
+        "yaw_apart",
+        When.ACTIVE,
+        _yaw_apart,
+        (Stage("yaw_warn", WARN), Stage("yaw_cut", CUT)),
+        tell=_how_turned,
+    ),
     Rule("clock_jump", When.ACTIVE, _clock, (Stage("clock_step", LAND),)),
     Rule(
         "person_near",
@@ -335,7 +376,8 @@ class Monitor:
             if held is None or held < time - 1e-9 or measured is None:
                 continue
             if worst is None or action > worst.action:
-                worst = Finding(self.rule.name, action, measured, limit)
+                detail = "" if self.rule.tell is None else self.rule.tell(obs)
+                worst = Finding(self.rule.name, action, measured, limit, detail)
         return worst
 
     def _measure(self, obs: Observation, overriding: bool) -> float | None:

@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-GRAVITY = 9.81
+from crazyarena.safety.heading import GRAVITY, Point, Turned
 
-Point = tuple[float, float, float]
 NOWHERE: Point = (math.nan, math.nan, math.nan)
 
 
@@ -38,6 +37,7 @@ class Observation:
     controller_age: s since the contestant last answered or refreshed its streamed setpoint.
     lateness: of the last control step, s.
     clock_error: s by which two clocks that should run alike have drifted apart.
+    turned: what the vehicle's gyroscope says of the heading that cameras give it.
     dead_man_age: s since the operator last held the key; None when there is none to hold.
     person_distance: m to the nearest person, horizontally; person_depth: how far the one
         deepest inside the fence is inside, m (negative: all outside).
@@ -62,6 +62,7 @@ class Observation:
     controller_age: float | None = None
     lateness: float | None = None
     clock_error: float | None = None
+    turned: Turned | None = None
     dead_man_age: float | None = None
     person_distance: float | None = None
     person_depth: float | None = None

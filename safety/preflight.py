@@ -54,6 +54,7 @@ class Tolerances:
     Attributes
     ----------
     battery: V, at rest.
+    turned: rad, between the noses of a vehicle and its body.
     position, yaw: between the cameras and the vehicle's own estimate, m and rad.
     spread: m, of the vehicle's estimate over the last samples.
     height: m, of a standing vehicle over the level's start.
@@ -65,6 +66,7 @@ class Tolerances:
     battery: float = 3.9
     position: float = 0.05
     yaw: float = math.radians(10.0)
+    turned: float = math.radians(10.0)
     spread: float = 0.01
     height: float = 0.05
     gate_position: float = 0.1
@@ -85,6 +87,8 @@ class VehicleFacts:
     controller: parameter ``stabilizer.controller``.
     tipped: the body that was tipped when this vehicle was, now or lately, see
         :func:`tipped_body`.
+    turned: rad by which that body's nose lies to the left of the vehicle's, see
+        :func:`nose_between`.
     """
 
     name: str
@@ -94,6 +98,7 @@ class VehicleFacts:
     own: Sequence[np.ndarray] = ()
     controller: int | None = None
     tipped: str | None = None
+    turned: float | None = None
 
 
 @dataclass(slots=True)
@@ -344,6 +349,18 @@ def check_body(p: Preflight, v: VehicleFacts) -> list[Line]:
     return [Line(f"{v.name} is body {v.body}", v.tipped == v.body, found, remedy)]
 
 
+def check_heading(p: Preflight, v: VehicleFacts) -> list[Line]:
+    if v.turned is None:
+        return []  # it was not tipped, and the line before says so
+    degrees = math.degrees(v.turned)
+    remedy = (
+        f"turn the axes of body {v.body} by {-degrees:+.0f} deg about z in the motion-capture "
+        "software, so that its x axis is the vehicle's nose"
+    )
+    found = f"the body's nose is {degrees:+.0f} deg from the vehicle's"
+    return [Line(f"{v.name} heading", abs(v.turned) <= p.tolerances.turned, found, remedy)]
+
+
 def check_start(p: Preflight, v: VehicleFacts) -> list[Line]:
     name = f"{v.name} at start"
     remedy = "put it on the start position"
@@ -374,6 +391,7 @@ VEHICLE_CHECKS: tuple[Callable[[Preflight, VehicleFacts], list[Line]], ...] = (
     check_estimate,
     check_controller,
     check_body,
+    check_heading,
     check_start,
 )
 
@@ -389,6 +407,22 @@ def tipped_body(bodies: Mapping[str, Pose], own: np.ndarray, least: float = 0.2)
         return None
     alike = [k for k, pose in bodies.items() if abs(tilt(pose.quaternion) - felt) < 0.5 * least]
     return alike[0] if len(alike) == 1 else None
+
+
+def nose_between(own: np.ndarray, body: np.ndarray) -> float:
+    """rad by which a body's nose lies to the left of its vehicle's, both tipped alike.
+
+    ``own`` and ``body`` are attitudes (x, y, z, w) of the vehicle, by its own sensors, and of the
+    body, by the cameras. Both know where up is, each in its own axes; nothing is asked of the
+    yaw of either. Only as good as the tilt: an error of attitude counts by 1 / sin(tilt).
+    """
+    return math.remainder(_leaning(own) - _leaning(body), math.tau)
+
+
+def _leaning(q: np.ndarray) -> float:
+    """Direction of the world's up across the body's own axes, rad."""
+    x, y, z, w = q.tolist()
+    return math.atan2(2.0 * (y * z + w * x), 2.0 * (x * z - w * y))
 
 
 def tilt(q: np.ndarray) -> float:

@@ -28,6 +28,7 @@ from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.gate import CommandGate
 from crazyarena.safety.guard import Guard
+from crazyarena.safety.heading import HeadingWatch
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import Finding
@@ -37,7 +38,9 @@ from crazyarena.types import Pose, PoseFrame, Telemetry
 _TICK = 0.005  # s, without a frame
 _FEED_PERIOD = 0.1  # s
 _TELEMETRY_GOOD = 0.3  # s, for the vehicle's own estimate
+_GYRO_GOOD = 0.15  # s, for the rates that the vehicle tells
 _OFF_GROUND = 0.08  # m
+_LIFTED = 0.02  # m
 _DOWN_TIME = 1.0  # s, low and still, until a vehicle counts as standing
 _BASELINE_TIME = 2.0  # s, over which the least delay of the cameras is remembered
 _SWITCH_INTERVAL = 0.0005  # s, for which another Python thread may keep this one waiting
@@ -64,6 +67,7 @@ class _Watched:
     requests: deque[Finding] = field(default_factory=deque)
     last_pose: Pose | None = None
     changed: float = math.inf
+    heading: HeadingWatch = field(default_factory=HeadingWatch)
 
     def changes(self, pose: Pose, captured: float) -> None:
         """Note a measured pose; ``changed`` is when it last was another than the one before.
@@ -203,6 +207,7 @@ class Watchdog:
                     if name in result.accepted:
                         watched.accepted_once = True
                         watched.doubted_since = None
+                        self._compare_heading(watched, pose, frame.timestamp)
                     elif watched.accepted_once and watched.doubted_since is None:
                         watched.doubted_since = frame.received
                 elif name.startswith(self._people):
@@ -218,6 +223,23 @@ class Watchdog:
         with self._wake:
             self._pending = True
             self._wake.notify()
+
+    def _compare_heading(self, watched: _Watched, pose: Pose, captured: float) -> None:
+        """What a believed pose and the gyroscope say of each other, while the vehicle flies."""
+        own = self._gate.telemetry(watched.vehicle).state
+        # A gyroscope is never quite still: zeros are those of a vehicle that does not tell.
+        if self._gate.flying_since(watched.vehicle) is None or own is None:
+            watched.heading.reset()
+        elif (
+            own.angular_velocity.any()
+            and captured - own.timestamp <= _GYRO_GOOD
+            # On the ground a vehicle is pushed by what it stands on.
+            and pose.position[2] > watched.ground + _LIFTED
+        ):
+            x, y, z, w = pose.quaternion.tolist()
+            watched.heading.update(
+                captured, as_point(pose.position), (x, y, z, w), as_point(own.angular_velocity)
+            )
 
     def controller_answered(self, vehicle: int) -> None:
         """The contestant has answered a control step; once called, answers are expected."""
@@ -336,6 +358,7 @@ class Watchdog:
             if watched.doubted_since is not None:
                 obs.doubted = max(now - watched.doubted_since, 1e-6)
             obs.swapped = watched.swapped
+            obs.turned = watched.heading.now
             watched.swapped = False
             obs.clock_error = self._cameras.error
             obs.strangers = self._strangers

@@ -26,8 +26,8 @@ class RadioOptions:
     for all vehicles together; link_timeout: silence after which a link counts as lost;
     reconnect: try again by itself, every reconnect_interval; packets_per_second: what one
     Crazyradio carries for all its vehicles (USB and UDP links have no such limit);
-    state_rate, health_rate: of the onboard estimate, and of battery, supervisor, RSSI and body
-    rates, 0 for none; ping_rate: of the echoes that show loss and latency; poses: ``single``
+    state_rate, health_rate: of the onboard estimate and body rates, and of battery, supervisor and
+    RSSI, 0 for none; ping_rate: of the echoes that show loss and latency; poses: ``single``
     sends full resolution, ``packed`` millimetres, two vehicles in a packet; param_timeout,
     upload_timeout: for the vehicle's answer; outbox: limits of the traffic classes.
     """
