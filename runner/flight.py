@@ -18,7 +18,7 @@ import numpy as np
 
 from crazyarena import __version__
 from crazyarena.clock import Clock, WallClock
-from crazyarena.errors import CrazyarenaError
+from crazyarena.errors import CrazyarenaError, InputError
 from crazyarena.levels import dump_level
 from crazyarena.levels.draw import Draw, LevelRandom
 from crazyarena.levels.schema import Level
@@ -48,6 +48,9 @@ from crazyarena.runner.world import World
 from crazyarena.safety.estop import interrupt_policy
 
 _ENDS_TRIAL = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT, INTERRUPTED, SAFETY, ABORTED)
+# Of these, where the vehicle is new in every episode; a controller that failed is made anew, too.
+_ENDS_RENEWED = (INTERRUPTED, ABORTED)
+_FAILED = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT)
 
 
 class Watch(Protocol):
@@ -138,7 +141,9 @@ class FlightTrial:
         self._on_step = on_step
         self._on_episode = on_episode
         self._wall = wall if wall is not None else WallClock()
-        self._made = False
+        self._made = self._flown = False
+        renews = isinstance(world, TrackedWorld) and world.rig.renews
+        self._last_endings = _ENDS_RENEWED if renews else _ENDS_TRIAL
         self._steady = real_time
         self.in_force: list[str] = []
 
@@ -154,11 +159,15 @@ class FlightTrial:
             for index in range(self._episodes):
                 result, obs = self._episode(index, random.reset(), referee, obs, interrupt)
                 results.append(result)
-                if interrupt.asked or result.termination in _ENDS_TRIAL:
+                if interrupt.asked or result.termination in self._last_endings:
                     break
                 if index + 1 < self._episodes:
+                    if result.termination in _FAILED:
+                        self._made = False
+                        continue
+                    flown = result.termination
                     self._hook("interEpisodeReset", result)
-                    if result.error is not None:
+                    if result.termination != flown:
                         break
         return TrialResult(results, self._episodes)
 
@@ -246,8 +255,14 @@ class FlightTrial:
 
     def _make(self, obs: list[Any], start: np.ndarray) -> None:
         with self._else_abort():
-            self._contender.make(obs, self._level, start)
-        self._made = True
+            try:
+                self._contender.make(obs, self._level, start)
+            except InputError as error:
+                if not self._flown:
+                    raise
+                # It could be made once: what was flown since is not thrown away.
+                raise Aborted(Phase.SURVEY, str(error)) from error
+        self._made = self._flown = True
 
     @contextlib.contextmanager
     def _else_abort(self) -> Iterator[None]:

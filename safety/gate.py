@@ -152,6 +152,12 @@ class CommandGate:
         """From now on the runner's commands are refused, except those that stop motors."""
         self._closed_reason = reason
 
+    def renew(self) -> None:
+        """Begin anew, with vehicles that were switched off and on: nothing is remembered."""
+        with self._lock:
+            self._closed_reason = None
+            self._vehicles = {vehicle: VehicleMemory(vehicle) for vehicle in self.vehicles}
+
     def take(self, vehicle: int) -> None:
         """The watchdog has this vehicle; the runner's commands to it are refused."""
         self._vehicles[vehicle].taken = True

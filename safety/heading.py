@@ -43,6 +43,7 @@ _MODEL = 0.03  # rad, standard deviation of what the model leaves out
 _GAIN = (0.5, 1.7)  # of what is seen to what is felt, that can be a turn
 _MIRROR_MARGIN = 0.25
 _SURE = 3.5  # standard deviations
+_VAGUE = 0.2  # rad, standard deviation of an angle that says nothing yet
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +82,8 @@ class Turned:
     @property
     def surely(self) -> float:
         """rad that the body is turned at least."""
+        if self.sigma > _VAGUE:
+            return 0.0
         return max(0.0, abs(self.angle) - _SURE * self.sigma)
 
 
@@ -155,13 +158,15 @@ class HeadingWatch:
         if sums.felt <= 0.0:
             return Turned(yaw=self._yaw)
         # Motion along one line fits a turn as well as a mirror: then it is taken for a turn.
-        mirrored = abs(sums.mirror) > abs(sums.ratio) + _MIRROR_MARGIN * sums.felt
+        spread = math.sqrt(1.0 / (2.0 * sums.felt))
+        margin = max(_MIRROR_MARGIN, 4.0 * spread) * sums.felt
+        mirrored = abs(sums.mirror) > abs(sums.ratio) + margin
         ratio = sums.mirror if mirrored else sums.ratio
         gain = abs(ratio) / sums.felt
         if not _GAIN[0] < gain < _GAIN[1]:
             return Turned(yaw=self._yaw)
         left = max(0.0, sums.seen - abs(ratio) ** 2 / sums.felt) / sums.samples
-        sigma = math.hypot(math.sqrt(max(left, 1.0) / (2.0 * sums.felt)), _MODEL)
+        sigma = math.hypot(math.sqrt(max(left, 1.0)) * spread, _MODEL)
         angle = math.pi if mirrored else -math.atan2(ratio.imag, ratio.real)
         return Turned(angle, sigma, mirrored, self._yaw)
 

@@ -167,23 +167,10 @@ class Watchdog:
         self._props = tuple(props)
         self._on_event = on_event
         self._flies = flies
-        heights = grounds or {}
-        self._watched = {
-            body: _Watched(
-                vehicle,
-                body,
-                Guard(fence, self.limits, vehicle, heights.get(vehicle, 0.03), flies),
-                heights.get(vehicle, 0.03),
-            )
-            for body, vehicle in bodies.items()
-        }
-        self._by_vehicle = {w.vehicle: w for w in self._watched.values()}
-        self._cameras = _CameraClock()
-        self._persons: dict[str, Point] = {}
-        self._strangers = 0
-        self._lateness: float | None = None
-        self._last_step: float | None = None
+        self._bodies = dict(bodies)
+        self._grounds = {v: (grounds or {}).get(v, 0.03) for v in bodies.values()}
         self._lock = threading.Lock()
+        self.renew()
         self._wake = threading.Condition(threading.Lock())
         self._pending = False
         self._closed = False
@@ -191,6 +178,26 @@ class Watchdog:
         self.events: list[SafetyEvent] = []
         self.priority = "normal"
         self.steps = 0
+
+    def renew(self) -> None:
+        """Begin anew, with vehicles that were put down somewhere and switched on: ladders are at
+        their foot again. ``events`` are kept."""
+        with self._lock:
+            self._watched = {
+                body: _Watched(
+                    vehicle,
+                    body,
+                    Guard(self._fence, self.limits, vehicle, self._grounds[vehicle], self._flies),
+                    self._grounds[vehicle],
+                )
+                for body, vehicle in self._bodies.items()
+            }
+            self._by_vehicle = {w.vehicle: w for w in self._watched.values()}
+            self._cameras = _CameraClock()
+            self._persons: dict[str, Point] = {}
+            self._strangers = 0
+            self._lateness: float | None = None
+            self._last_step: float | None = None
 
     # Told from outside
 
