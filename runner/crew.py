@@ -23,6 +23,7 @@ from crazyarena.mocap.survey import SurveyConfig, SurveyReport, survey
 from crazyarena.runner.rig import Rig
 from crazyarena.runner.tracked_world import TrackedWorld, heading_like, roll_pitch_yaw
 from crazyarena.safety.estop import Hold
+from crazyarena.safety.fence import Fence
 from crazyarena.sim_backend.arena_world import track_truth
 from crazyarena.sim_backend.firmware.supervisor import (
     INFO_ARMED,
@@ -44,6 +45,10 @@ _AGREEMENT = 0.05  # m
 _PEAK_SPEED = 1.0  # m/s on the way home
 _PEAK_OVER_MEAN = 35.0 / 16.0  # of the firmware's rest-to-rest polynomial
 _DESCENT = 0.3  # m/s
+_BRAKING = 3.0  # m/s2, after the run
+_STILL = 0.1  # m/s
+_ASIDE = 0.25  # m from the fence, from where it flies home
+_DRAW_BACK = 0.4  # m/s on the way there
 _ABOVE_TRACK = 0.35  # m above the highest gate, on the way home
 _GRIP_TIME = 1.0  # s of holding the dead-man's key until it is believed
 _DOWN = 0.08  # m: what is lower stands on the ground
@@ -447,13 +452,50 @@ class Crew:
             self._send(cs.Stop())
             return
         assert self._home is not None
-        place = self._estimate().state.position.copy()
+        place, yaw = self._stop_moving()
         above = self._safe_height()
-        yaw = 0.0
         self._send(cs.NotifySetpointsStop())
         self._go(np.array([place[0], place[1], max(above, place[2])]), yaw)
         self._go(np.array([self._home[0], self._home[1], max(above, place[2])]), yaw)
         self._land_here()
+
+    def _stop_moving(self) -> tuple[Array, float]:
+        """Brake, and draw back from the fence; the place (3,) m and heading where it then stays.
+
+        A plan that begins on the move swings out by a fifth of its duration times the speed: too
+        much for a run that ended close to the fence.
+        """
+        state = self._estimate().state
+        begin, velocity = state.position.copy(), state.velocity.copy()
+        yaw = roll_pitch_yaw(state.quaternion)[2]
+        speed = float(np.linalg.norm(velocity))
+        braking = speed / _BRAKING
+        rest = begin + 0.5 * braking * velocity
+        rest[2] = max(rest[2], begin[2], _DOWN + 0.1)
+        x, y, z = rest.tolist()
+        try:
+            inside = np.array(Fence.from_level(self._level).nearest((x, y, z), _ASIDE))
+        except InputError:
+            inside = rest
+        away = inside - rest
+        if speed < _STILL:
+            return begin, yaw
+        drawing = float(np.linalg.norm(away)) / _DRAW_BACK
+        clock = self._rig.clock
+        start, zero = clock.now(), np.zeros(3)
+        while (now := clock.now() - start) < braking + drawing + _SETTLED:
+            self._must_fly(Phase.RETURN)
+            if now < braking:
+                left = 1.0 - now / braking
+                place = begin + velocity * now * (0.5 + 0.5 * left)
+                setpoint = cs.FullState(place, velocity * left, -velocity / braking, yaw, zero)
+            else:
+                share = min(1.0, (now - braking) / drawing) if drawing > 0.0 else 1.0
+                pace = away / drawing if share < 1.0 else zero
+                setpoint = cs.FullState(rest + share * away, pace, zero, yaw, zero)
+            self._send(setpoint)
+            clock.sleep_until(clock.now() + _TICK)
+        return inside, yaw
 
     def _safe_height(self) -> float:
         tops = [gate.centre[2] + 0.25 for gate in self._level.track.gates]
@@ -568,7 +610,7 @@ class Crew:
         return float(self._estimate().state.position[2])
 
     def _still(self) -> bool:
-        return float(np.linalg.norm(self._estimate().state.velocity)) < 0.1
+        return float(np.linalg.norm(self._estimate().state.velocity)) < _STILL
 
     def _supervisor(self) -> int:
         return self._rig.backend.telemetry(self._rig.vehicle).supervisor or 0

@@ -50,10 +50,11 @@ def remembering(made):
     return Arena
 
 
-def fly(tmp_path, trouble="pass", overrides=(), on_step=None, episodes=3):
+def fly(tmp_path, trouble="pass", overrides=(), on_step=None, episodes=3, entry=None):
     """Results of some episodes of a vehicle that rises to a metre, and the rig it had."""
-    entry = tmp_path / "rise.py"
-    entry.write_text(RISE.format(trouble=trouble))
+    if entry is None:
+        entry = tmp_path / "rise.py"
+        entry.write_text(RISE.format(trouble=trouble))
     level = load_level("sim2real", [*EMPTY, *overrides])
     arenas = []
     with pytest.MonkeyPatch.context() as patch:
@@ -145,3 +146,42 @@ def test_episodes_after_the_first_are_flown_alike(tmp_path):
     assert all(e.completed for e in result.episodes)
     assert all(math.isfinite(e.flight_time) for e in result.episodes)
     assert all("return-and-land" in e.phases for e in result.episodes)
+
+
+TOWARDS_THE_FENCE = """
+import math
+from competition_utils import Command
+
+class Controller:
+    def __init__(self, initial_obs, initial_info, use_firmware=False, verbose=False):
+        self.x, self.y = initial_obs[0], initial_obs[2]
+
+    def place(self, t):
+        rise = min(t / 1.5, 1.0)
+        way = min(max(t - 1.5, 0.0) / 2.5, 1.0)
+        rise, way = (s**3 * (10.0 - s * (15.0 - 6.0 * s)) for s in (rise, way))
+        # At the goal it swings, and the run ends on the way towards the fence.
+        swing = max(t - 4.0, 0.0)
+        swung = 0.09 * math.sin(5.0 * swing - 3.25) * min(1.0, swing / 0.5)
+        return self.x, self.y + way * ({goal} - self.y) + swung, rise
+
+    def cmdFirmware(self, time, obs, reward=None, done=None, info=None):
+        a, p, b = (self.place(max(time + d, 0.0)) for d in (-1e-3, 0.0, 1e-3))
+        v = [(y - x) / 2e-3 for x, y in zip(a, b)]
+        return Command.FULLSTATE, [list(p), v, [0, 0, 0], {yaw}, [0, 0, 0]]
+"""
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.5])
+@pytest.mark.parametrize("seconds", [4.6, 4.65, 4.7])
+def test_a_run_that_ends_towards_the_fence_is_brought_home(tmp_path, yaw, seconds):
+    entry = tmp_path / "swing.py"
+    entry.write_text(TOWARDS_THE_FENCE.format(goal=2.9, yaw=yaw))
+    overrides = [*EMPTY, "start.position=[0, 1.5, 0.03]", "goal.position=[2, 2, 1]"]
+    result = fly(tmp_path, overrides=[*overrides, f"episode_length={seconds}"], entry=entry)
+    for episode in result.episodes:
+        assert episode.termination == "MAX EPISODE DURATION", episode.error
+        assert episode.error is None
+        rules = {event.name for event in episode.events if event.name.startswith("safety")}
+        assert rules <= {"safety: gate_clamped"}
+        assert episode.phases["return-and-land"] > 5.0
