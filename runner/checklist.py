@@ -29,12 +29,14 @@ _PERIOD = 0.02  # s
 # In the order of the checklist; {} is the vehicle's body.
 _ALWAYS = (
     "arena clear",
+    "camera rate",
     "{} connected",
     "{} state",
     "{} battery",
     "{} estimator",
     "{} agrees with cameras",
     "{} controller",
+    "{} heading",
     "{} at start",
 )
 _WITH_PEOPLE = ("disk", "e-stop tested", "{} is body {}")
@@ -145,7 +147,10 @@ class FlightChecklist:
             own,
             controller,
         )
-        machine: tuple[Callable[[pf.Preflight], list[pf.Line]], ...] = (pf.check_strangers,)
+        machine: tuple[Callable[[pf.Preflight], list[pf.Line]], ...] = (
+            pf.check_strangers,
+            pf.check_cameras,
+        )
         each: tuple[Callable[[pf.Preflight, pf.VehicleFacts], list[pf.Line]], ...] = (
             pf.check_connected,
             pf.check_state,
@@ -155,11 +160,12 @@ class FlightChecklist:
         )
         if self._uri is not None:
             machine = (*machine, pf.check_disk, pf.check_estop)
-            each = (*each, pf.check_body)
+            each = (*each, pf.check_body, pf.check_heading)
         checklist = pf.Preflight(
             self._level,
             [fact],
             bodies=sorted(bodies.now()),
+            camera_rate=bodies.frames.rate,
             known=bodies.known(Fence.from_level(self._level)),
             estop=EmergencyStop([], clock),
             out=self._out,

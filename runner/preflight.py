@@ -17,6 +17,7 @@ from crazyarena.mocap.estimator import BodyEstimate, Freshness
 from crazyarena.runner.stops import StopOptions, open_stops
 from crazyarena.safety.estop import EmergencyStop, Rehearsal
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.frame_rate import FrameRate
 from crazyarena.safety.preflight import (
     Preflight,
     VehicleFacts,
@@ -73,10 +74,12 @@ class Bodies:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._seen: dict[str, tuple[float, Pose]] = {}
+        self.frames = FrameRate()
 
     def note(self, frame: PoseFrame, _: object) -> None:
         """For the pipeline."""
         now = self._clock.now()
+        self.frames.note(frame.timestamp)
         self._seen.update({name: (now, pose) for name, pose in frame.bodies.items()})
 
     def now(self) -> dict[str, Pose]:
@@ -334,6 +337,7 @@ class _Gathering:
                 fact.seen = self._pipeline.estimate(name)
         remember(p, self._rehearsals, self._vehicles)
         p.bodies = sorted(self._bodies.now())
+        p.camera_rate = self._bodies.frames.rate
         with contextlib.suppress(InputError):  # a contradictory fence has a line of its own
             p.known = self._bodies.known(Fence.from_level(self._level))
         p.gates = self._bodies.gates()

@@ -32,6 +32,8 @@ class Limits:
     max_speed: m/s, of the vehicle; the gate lets setpoints ask for ``setpoint_speed``.
     max_tilt, tumble_tilt: rad.
     pose_warn, pose_hold, pose_land, pose_cut: age of the last good pose, s.
+    camera_rate: Hz, that cameras must deliver: at a tenth of a second from frame to frame nobody
+        sees in time. Fewer are a warning in flight, and keep vehicles on the ground.
     bad_pose_time: how long the cameras may deliver poses that are not believed, s.
     disagreement: m between cameras and the vehicle's own estimate.
     link_warn, link_hold, link_cut: silence of the vehicle, s.
@@ -81,6 +83,8 @@ class Limits:
     pose_hold: float = 0.15
     pose_land: float = 0.5
     pose_cut: float = 3.5
+    camera_rate: float = 30.0
+    camera_rate_time: float = 0.5
     bad_pose_time: float = 0.1
     disagreement: float = 0.4
     disagreement_time: float = 0.2

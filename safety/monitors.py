@@ -261,6 +261,13 @@ RULES: tuple[Rule, ...] = (
         _told("doubted"),
         (Stage(0.0, WARN), Stage("bad_pose_time", HOLD)),
     ),
+    Rule(
+        "camera_rate",
+        When.ACTIVE,
+        _told("camera_rate"),
+        (Stage("camera_rate", WARN, "camera_rate_time"),),
+        below=True,
+    ),
     Rule("body_swap", When.ACTIVE, _told("swapped"), (Stage(0.5, HOLD),)),
     Rule(
         "wrong_body",

@@ -29,6 +29,7 @@ class Observation:
     position, velocity: m, m/s, world; None when neither cameras nor vehicle know.
     quaternion: x, y, z, w.
     pose_age: s since the capture of the last believed pose; inf before the first.
+    camera_rate: Hz, of the frames of the last second.
     doubted: s for which poses have arrived that were not believed (0 while they are).
     swapped: this frame's bodies had exchanged names.
     onboard: the vehicle's own estimate of its position, if it is recent.
@@ -51,6 +52,7 @@ class Observation:
     velocity: Point = (0.0, 0.0, 0.0)
     quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     pose_age: float = 0.0
+    camera_rate: float | None = None
     doubted: float = 0.0
     swapped: bool = False
     onboard: Point | None = None

@@ -20,11 +20,14 @@ from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels import Level
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
+from crazyarena.safety.axes import explain_axes
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import CAN_FLY, CRASHED, LOCKED, TUMBLED
 from crazyarena.types import Pose, Telemetry
 
+_LEANS = math.radians(15.0)
 _CAN_ARM, _ARMED = 1 << 0, 1 << 1
 
 
@@ -59,6 +62,7 @@ class Tolerances:
     spread: m, of the vehicle's estimate over the last samples.
     height: m, of a standing vehicle over the level's start.
     gate_position, gate_yaw: between a surveyed gate and the level, beyond its random range.
+    camera_rate: Hz, at least.
     disk: bytes free. timer: s, latest wake-up of a short sleep.
     test_age: s, since the emergency stop was last tried. body_age: s, since a vehicle was tipped.
     """
@@ -71,6 +75,7 @@ class Tolerances:
     height: float = 0.05
     gate_position: float = 0.1
     gate_yaw: float = 0.15
+    camera_rate: float = Limits().camera_rate
     disk: int = 500_000_000
     timer: float = 0.002
     test_age: float = 3600.0
@@ -109,6 +114,7 @@ class Preflight:
     ----------
     gates: surveyed poses of the gates by index; empty if they were not surveyed.
     bodies: all bodies the cameras see; known: names that belong there.
+    camera_rate: Hz, of the cameras' frames; None if nobody counted.
     controller: what ``stabilizer.controller`` must be (2 Mellinger, 1 PID).
     out: folder recordings go to.
     machine_checks, vehicle_checks: what is looked at.
@@ -120,6 +126,7 @@ class Preflight:
     bodies: Sequence[str] = ()
     known: Sequence[str] = ()
     controller: int = 2
+    camera_rate: float | None = None
     estop: EmergencyStop | None = None
     out: Path = Path(".")
     clock: Clock = field(default_factory=WallClock)
@@ -183,6 +190,14 @@ def _gates(p: Preflight) -> list[Line]:
     wanted = p.level.track.gates
     missing = [index for index in range(len(wanted)) if index not in p.gates]
     remedy = "survey the gates, or correct their poses in the level file"
+    still = [i for i, gate in enumerate(wanted) if not gate.tracked and i in p.gates]
+    axes = explain_axes(
+        np.array([[*p.gates[i].position[:2], 0.0] for i in still]).reshape(-1, 3),
+        np.array([[wanted[i].x, wanted[i].y, 0.0] for i in still]).reshape(-1, 3),
+        p.tolerances.gate_position,
+    )
+    if axes is not None:
+        remedy = f"{axes}; correct its world frame"
     if missing:
         return [Line("gates", False, f"gates {missing} not surveyed", remedy)]
     spread = p.level.randomization.gates_and_obstacles
@@ -207,6 +222,15 @@ def check_strangers(p: Preflight) -> list[Line]:
     unknown = sorted(set(p.bodies) - set(p.known) - set(vehicles))
     found = ", ".join(unknown) if unknown else f"{len(p.bodies)} bodies, all known"
     return [Line("arena clear", not unknown, found, "take them out of the arena, or name them")]
+
+
+def check_cameras(p: Preflight) -> list[Line]:
+    if p.camera_rate is None:
+        return []  # that they are silent, the vehicles' lines say
+    least = p.tolerances.camera_rate
+    found = f"{p.camera_rate:.0f} frames a second"
+    remedy = f"let the cameras deliver {least:g} or more, and nothing else use their network"
+    return [Line("camera rate", p.camera_rate >= least, found, remedy)]
 
 
 def check_disk(p: Preflight) -> list[Line]:
@@ -351,7 +375,8 @@ def check_body(p: Preflight, v: VehicleFacts) -> list[Line]:
 
 def check_heading(p: Preflight, v: VehicleFacts) -> list[Line]:
     if v.turned is None:
-        return []  # it was not tipped, and the line before says so
+        # It was not tipped: the line before says so, and grounds.
+        return [Line(f"{v.name} heading", True, "not measured; tip it by hand")]
     degrees = math.degrees(v.turned)
     remedy = (
         f"turn the axes of body {v.body} by {-degrees:+.0f} deg about z in the motion-capture "
@@ -370,6 +395,16 @@ def check_start(p: Preflight, v: VehicleFacts) -> list[Line]:
     sx, sy, sz = p.level.start.position
     off = math.hypot(x - sx, y - sy)
     ok = off <= p.level.start.tolerance and abs(z - sz) <= p.tolerances.height
+    axes = explain_axes((x, y, z), (sx, sy, sz), p.level.start.tolerance)
+    if axes is not None:
+        remedy = f"{remedy}; or {axes}: correct its world frame"
+    if tilt(v.seen.state.quaternion) > _LEANS:
+        # It stands, so the cameras' z axis is not up, or the body's is not the vehicle's.
+        ok = False
+        degrees = math.degrees(tilt(v.seen.state.quaternion))
+        remedy = (
+            f"the cameras see it lean by {degrees:.0f} deg: correct their z axis, or the body's"
+        )
     return [Line(name, ok, f"{off:.2f} m off, {z - sz:+.2f} m in height", remedy)]
 
 
@@ -378,6 +413,7 @@ MACHINE_CHECKS: tuple[Callable[[Preflight], list[Line]], ...] = (
     _fence,
     _gates,
     check_strangers,
+    check_cameras,
     check_disk,
     _governor,
     _timer,

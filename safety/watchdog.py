@@ -17,8 +17,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from crazyarena.clock import Clock
 from crazyarena.errors import InputError
 from crazyarena.mocap.estimator import BodyEstimate, FrameResult, Freshness
@@ -26,6 +24,7 @@ from crazyarena.mocap.events import EventKind
 from crazyarena.safety.estop import EmergencyStop, Hold
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.frame_rate import FrameRate
 from crazyarena.safety.gate import CommandGate
 from crazyarena.safety.guard import Guard
 from crazyarena.safety.heading import HeadingWatch
@@ -33,6 +32,7 @@ from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import Finding
 from crazyarena.safety.observation import Observation, Point, as_point
+from crazyarena.safety.old_poses import repeats
 from crazyarena.types import Pose, PoseFrame, Telemetry
 
 _TICK = 0.005  # s, without a frame
@@ -73,13 +73,10 @@ class _Watched:
         """Note a measured pose; ``changed`` is when it last was another than the one before.
 
         Cameras never measure the same numbers twice: a pose that repeats to the last bit is an
-        old one.
+        old one. In flight nothing stands still to some micrometres either, whatever is added to it.
         """
         last = self.last_pose
-        if last is None or not (
-            np.array_equal(last.position, pose.position)
-            and np.array_equal(last.quaternion, pose.quaternion)
-        ):
+        if last is None or not repeats(last, pose, self.airborne):
             self.changed = captured
             self.last_pose = pose
 
@@ -171,6 +168,7 @@ class Watchdog:
         self._grounds = {v: (grounds or {}).get(v, 0.03) for v in bodies.values()}
         self._lock = threading.Lock()
         self.renew()
+        gate.grounded = self._grounded
         self._wake = threading.Condition(threading.Lock())
         self._pending = False
         self._closed = False
@@ -194,6 +192,7 @@ class Watchdog:
             }
             self._by_vehicle = {w.vehicle: w for w in self._watched.values()}
             self._cameras = _CameraClock()
+            self._frames = FrameRate()
             self._persons: dict[str, Point] = {}
             self._strangers = 0
             self._lateness: float | None = None
@@ -205,6 +204,7 @@ class Watchdog:
         """A pose frame has been through the estimator."""
         with self._lock:
             self._cameras.update(frame.timestamp, frame.received)
+            self._frames.note(frame.timestamp)
             persons: dict[str, Point] = {}
             strangers = 0
             for name, pose in frame.bodies.items():
@@ -247,6 +247,16 @@ class Watchdog:
             watched.heading.update(
                 captured, as_point(pose.position), (x, y, z, w), as_point(own.angular_velocity)
             )
+
+    def _grounded(self) -> str | None:
+        """What keeps vehicles from taking off, in words."""
+        rate, least = self._frames.rate, self.limits.camera_rate
+        if rate is None or rate >= least:
+            return None
+        return (
+            f"the cameras deliver {rate:.0f} frames a second, at least {least:g} are needed; raise "
+            "their rate, or lower the safety limit camera_rate"
+        )
 
     def controller_answered(self, vehicle: int) -> None:
         """The contestant has answered a control step; once called, answers are expected."""
@@ -368,6 +378,7 @@ class Watchdog:
             obs.turned = watched.heading.now
             watched.swapped = False
             obs.clock_error = self._cameras.error
+            obs.camera_rate = self._frames.rate
             obs.strangers = self._strangers
             persons = tuple(self._persons.values())
         believed = estimate.freshness in (Freshness.FRESH, Freshness.BRIDGED)

@@ -226,3 +226,35 @@ def test_rehearsals_remember_the_nose(tmp_path):
     assert rehearsals.turned("b") is None
     assert rehearsals.turned("c") is None
     assert rehearsals.body("a") == ("cf1", 0.0)
+
+
+def test_slow_cameras_ground():
+    p = ready()
+    p.camera_rate = 100.0
+    assert red(p) == []
+    p.camera_rate = 10.0
+    assert red(p) == ["camera rate"]
+
+
+def test_a_mirrored_world_is_named():
+    p = ready()
+    p.gates = {
+        k: Pose(pose.position * [1.0, -1.0, 1.0], pose.quaternion) for k, pose in p.gates.items()
+    }
+    (line,) = [line for line in p.run() if line.name == "gates"]
+    assert not line.ok
+    assert "mirrored" in line.remedy
+    p = vehicle(telemetry(ready(), state=state(START)), seen=seen(position=START[[1, 0, 2]]))
+    (line,) = [line for line in p.run() if line.name == "cf1 at start"]
+    assert not line.ok
+    assert "their y, x, z" in line.remedy
+
+
+def test_a_vehicle_that_stands_and_is_seen_to_lean_grounds():
+    p = ready()
+    estimate = p.vehicles[0].seen
+    lying = replace(estimate.state, quaternion=turned(roll=math.pi / 2))
+    p = vehicle(p, seen=replace(estimate, state=lying))
+    (line,) = [line for line in p.run() if line.name == "cf1 at start"]
+    assert not line.ok
+    assert "lean by 90 deg" in line.remedy
