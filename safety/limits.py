@@ -48,6 +48,7 @@ class Limits:
     turn_cut: the same at which motors are cut: hold and land need the heading.
     yaw_warn, yaw_cut: rad by which cameras and gyroscope may come apart in yaw.
     clock_step: s, between two clocks that should run alike.
+    neighbour_warn, neighbour_hold: m between the centres of two vehicles in the air.
     people_distance: m between a vehicle and a person, horizontally, at which motors are cut.
     dead_man: s since the operator last held the key.
     hold_time: s, from HOLD to LAND.
@@ -111,6 +112,8 @@ class Limits:
     yaw_warn: float = 0.25
     yaw_cut: float = 0.5
     clock_step: float = 0.05
+    neighbour_warn: float = 0.3
+    neighbour_hold: float = 0.2
     people_distance: float = 1.0
     dead_man: float = 0.5
     hold_time: float = 1.0
@@ -143,6 +146,7 @@ class Limits:
         self._ordered("link_warn", "link_hold", "link_cut")
         self._ordered("controller_warn", "controller_hold")
         self._ordered("late_warn", "late_hold")
+        self._ordered("neighbour_hold", "neighbour_warn")
         self._ordered("quality_land", "quality_warn")
         self._ordered("battery_land", "battery_warn")
         self._ordered("following", "following_land")

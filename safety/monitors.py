@@ -15,7 +15,8 @@ from crazyarena.safety.events import Action
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.observation import Observation, Point
+from crazyarena.safety.observation import Observation
+from crazyarena.safety.stopping import stopping_path
 
 # Bits of the firmware's ``supervisor.info``.
 CAN_FLY, TUMBLED, LOCKED, CRASHED = 1 << 3, 1 << 5, 1 << 6, 1 << 7
@@ -86,27 +87,6 @@ def _told(name: str) -> Measure:
         return None if value is None else float(value)
 
     return measure
-
-
-def stopping_path(obs: Observation, limits: Limits) -> tuple[Point, Point]:
-    """Where the vehicle is when it begins to brake, and where it comes to rest.
-
-    Until the command bites (``limits.reaction``) it goes on with the acceleration its attitude
-    gives it, so that one who brakes already is not taken for one who runs away; then it brakes
-    along its velocity with ``limits.braking``.
-    """
-    assert obs.position is not None
-    (x, y, z), (vx, vy, vz) = obs.position, obs.velocity
-    ax, ay = obs.horizontal_acceleration(limits.braking)
-    t = limits.reaction
-    towards_rest = -(vx * ax + vy * ay)
-    if towards_rest > 0.0:
-        t = min(t, towards_rest / (ax * ax + ay * ay))
-    half = 0.5 * t * t
-    x, y, z = x + vx * t + ax * half, y + vy * t + ay * half, z + vz * t
-    vx, vy = vx + ax * t, vy + ay * t
-    stop = math.sqrt(vx * vx + vy * vy + vz * vz) / (2.0 * limits.braking)
-    return (x, y, z), (x + vx * stop, y + vy * stop, z + vz * stop)
 
 
 def _least_on_path(
@@ -241,6 +221,20 @@ RULES: tuple[Rule, ...] = (
         (Stage(0.0, HOLD),),
     ),
     Rule("people_zone", When.AIRBORNE, _people_zone, (Stage(0.0, CUT),)),
+    Rule(
+        "neighbour",
+        When.AIRBORNE,
+        _told("neighbour"),
+        (Stage("neighbour_warn", WARN), Stage("neighbour_hold", HOLD)),
+        below=True,
+    ),
+    Rule(
+        "neighbour_predicted",
+        When.AIRBORNE,
+        _told("neighbour_predicted"),
+        (Stage("neighbour_hold", HOLD),),
+        below=True,
+    ),
     Rule("speed", When.AIRBORNE, _speed, (Stage("max_speed", HOLD, "speed_time"),)),
     Rule("tilt", When.AIRBORNE, _tilt, (Stage("max_tilt", HOLD, "tilt_time"),)),
     Rule("tumble", When.AIRBORNE, _tilt, (Stage("tumble_tilt", CUT, "tumble_time"),)),

@@ -40,6 +40,8 @@ class Observation:
     clock_error: s by which two clocks that should run alike have drifted apart.
     turned: what the vehicle's gyroscope says of the heading that cameras give it.
     dead_man_age: s since the operator last held the key; None when there is none to hold.
+    neighbour, neighbour_predicted: m to the nearest other vehicle in the air, now and if both were
+        told to stop now.
     person_distance: m to the nearest person, horizontally; person_depth: how far the one
         deepest inside the fence is inside, m (negative: all outside).
     strangers: bodies seen that nobody has named.
@@ -66,6 +68,8 @@ class Observation:
     clock_error: float | None = None
     turned: Turned | None = None
     dead_man_age: float | None = None
+    neighbour: float | None = None
+    neighbour_predicted: float | None = None
     person_distance: float | None = None
     person_depth: float | None = None
     strangers: int = 0

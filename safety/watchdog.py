@@ -21,6 +21,7 @@ from crazyarena.clock import Clock
 from crazyarena.errors import InputError
 from crazyarena.mocap.estimator import BodyEstimate, FrameResult, Freshness
 from crazyarena.mocap.events import EventKind
+from crazyarena.safety.camera_clock import CameraClock
 from crazyarena.safety.estop import EmergencyStop, Hold
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
@@ -31,6 +32,7 @@ from crazyarena.safety.heading import HeadingWatch
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import Finding
+from crazyarena.safety.neighbours import nearest
 from crazyarena.safety.observation import Observation, Point, as_point
 from crazyarena.safety.old_poses import repeats
 from crazyarena.types import Pose, PoseFrame, Telemetry
@@ -42,7 +44,6 @@ _GYRO_GOOD = 0.15  # s, for the rates that the vehicle tells
 _OFF_GROUND = 0.08  # m
 _LIFTED = 0.02  # m
 _DOWN_TIME = 1.0  # s, low and still, until a vehicle counts as standing
-_BASELINE_TIME = 2.0  # s, over which the least delay of the cameras is remembered
 _SWITCH_INTERVAL = 0.0005  # s, for which another Python thread may keep this one waiting
 
 Estimates = Callable[[str], BodyEstimate]
@@ -67,6 +68,7 @@ class _Watched:
     requests: deque[Finding] = field(default_factory=deque)
     last_pose: Pose | None = None
     changed: float = math.inf
+    latest: Observation | None = None
     heading: HeadingWatch = field(default_factory=HeadingWatch)
 
     def changes(self, pose: Pose, captured: float) -> None:
@@ -79,29 +81,6 @@ class _Watched:
         if last is None or not repeats(last, pose, self.airborne):
             self.changed = captured
             self.last_pose = pose
-
-
-class _CameraClock:
-    """Notices that the cameras' time stamps have jumped ahead.
-
-    A frame cannot arrive faster than the fastest of the last seconds did, but for the jitter.
-    A jump back looks like growing delay, and is found as stale poses.
-    """
-
-    def __init__(self) -> None:
-        self._recent: deque[tuple[float, float]] = deque()
-        self.error = 0.0
-
-    def update(self, captured: float, received: float) -> None:
-        delay = received - captured
-        recent = self._recent
-        while recent and recent[0][0] < received - _BASELINE_TIME:
-            recent.popleft()
-        self.error = max(0.0, recent[0][1] - delay, -delay) if recent else max(0.0, -delay)
-        # Delays in ascending order: what is later and smaller makes the earlier ones obsolete.
-        while recent and recent[-1][1] >= delay:
-            recent.pop()
-        recent.append((received, delay))
 
 
 class Watchdog:
@@ -191,7 +170,7 @@ class Watchdog:
                 for body, vehicle in self._bodies.items()
             }
             self._by_vehicle = {w.vehicle: w for w in self._watched.values()}
-            self._cameras = _CameraClock()
+            self._cameras = CameraClock()
             self._frames = FrameRate()
             self._persons: dict[str, Point] = {}
             self._strangers = 0
@@ -403,6 +382,11 @@ class Watchdog:
             obs.dead_man_age = self.dead_man.age()
         if persons:
             self._look_for_people(obs, persons)
+        watched.latest = obs
+        others = (w.latest for w in self._watched.values() if w is not watched)
+        near = nearest(obs, (o for o in others if o is not None), self.limits)
+        if near is not None:
+            obs.neighbour, obs.neighbour_predicted = near
         return obs
 
     @staticmethod
