@@ -43,21 +43,28 @@ class Rehearsals:
         """s since it was; inf if never."""
         return self._age(self._read().get(_STOP))
 
-    def note_body(self, uri: str, body: str) -> None:
-        """The vehicle at ``uri`` was seen to be this body now; no other vehicle is, then."""
+    def note_body(self, uri: str, body: str, turned: float | None = None) -> None:
+        """The vehicle at ``uri`` was seen to be this body now, with its nose ``turned`` rad from
+        the vehicle's; no other vehicle is, then."""
         bodies = {k: v for k, v in self._bodies().items() if v[0] != body}
-        self._change({_BODIES: {**bodies, uri: [body, self._wall()]}})
+        self._change({_BODIES: {**bodies, uri: [body, self._wall(), turned]}})
 
     def body(self, uri: str) -> tuple[str | None, float]:
         """Body that the vehicle at ``uri`` was last seen to be, and s since then."""
-        name, when = self._bodies().get(uri, (None, None))
+        name, when, *_ = self._bodies().get(uri, (None, None))
         return name, self._age(when)
+
+    def turned(self, uri: str) -> float | None:
+        """rad between the noses of that body and the vehicle; None if nobody has told."""
+        _, _, *turned = self._bodies().get(uri, (None, None))
+        known = turned and isinstance(turned[0], int | float) and math.isfinite(turned[0])
+        return float(turned[0]) if known else None
 
     def _bodies(self) -> dict[str, Any]:
         found = self._read().get(_BODIES)
         if not isinstance(found, dict):
             return {}
-        return {k: v for k, v in found.items() if isinstance(v, list) and len(v) == 2}
+        return {k: v for k, v in found.items() if isinstance(v, list) and len(v) in (2, 3)}
 
     def _age(self, when: Any) -> float:
         # A time in the future is that of a clock that was set: it says nothing.

@@ -28,8 +28,8 @@ class RadioOptions:
     ``scheduled`` sends what is most urgent on a dongle, ``cflib`` gives its vehicles turns, as
     cflib's own driver does; packets_per_second: what one Crazyradio carries for all its vehicles
     under ``cflib`` (nothing else needs such a limit);
-    state_rate, health_rate: of the onboard estimate, and of battery, supervisor, RSSI and body
-    rates, 0 for none; ping_rate: of the echoes that show loss and latency; poses: ``single``
+    state_rate, health_rate: of the onboard estimate and body rates, and of battery, supervisor
+    and RSSI, 0 for none; ping_rate: of the echoes that show loss and latency; poses: ``single``
     sends full resolution, ``packed`` millimetres, ``auto`` broadcasts them packed where three
     vehicles or more share a channel; param_timeout,
     upload_timeout: for the vehicle's answer; outbox: limits of the traffic classes.

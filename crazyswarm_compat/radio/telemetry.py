@@ -169,12 +169,13 @@ class TelemetryReader:
             self._blocks.append(
                 Block(client, "motion", motion, _period_ms(state_rate), self._motion)
             )
+        # As often as the estimate: they show whether the cameras' heading is the vehicle's.
+        rates = [f"stateEstimateZ.{name}" for name in _RATES]
+        if state_rate and all(knows(client, name) for name in rates):
+            self._blocks.append(Block(client, "rates", rates, _period_ms(state_rate), self._turn))
         health = [name for name in _HEALTH if knows(client, name)]
         if "supervisor.info" not in health:
             health += [name for name, _ in _OLD_FLAGS if knows(client, name)]
-        health += [
-            f"stateEstimateZ.{name}" for name in _RATES if knows(client, f"stateEstimateZ.{name}")
-        ]
         if health_rate and health:
             self._blocks.append(
                 Block(client, "health", health, _period_ms(health_rate), self._health)
@@ -244,11 +245,12 @@ class TelemetryReader:
             changes["supervisor"] = int(values["supervisor.info"])
         elif "sys.canfly" in values:
             changes["supervisor"] = sum(mask for name, mask in _OLD_FLAGS if values.get(name))
-        if "stateEstimateZ.rateRoll" in values:
-            roll, pitch, yaw = (1e-3 * values[f"stateEstimateZ.{name}"] for name in _RATES)
-            # The firmware logs the pitch rate in its legacy sign.
-            self._omega = np.array([roll, -pitch, yaw])
         self._update(**changes)
+
+    def _turn(self, values: Mapping[str, float]) -> None:
+        roll, pitch, yaw = (1e-3 * values[f"stateEstimateZ.{name}"] for name in _RATES)
+        # The firmware logs the pitch rate in its legacy sign.
+        self._omega = np.array([roll, -pitch, yaw])
 
 
 def _period_ms(rate: float) -> int:

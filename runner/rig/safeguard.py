@@ -152,6 +152,12 @@ class Safeguard:
             self._watchdog.close()
         self.estop.close()
 
+    def renew(self) -> None:
+        """Begin anew: the vehicle was put down at its start and switched on."""
+        self.gate.renew()
+        self.watchdog.renew()
+        self._told.clear()
+
     # Watch
 
     def begin(self) -> None:

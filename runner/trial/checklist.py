@@ -30,12 +30,14 @@ _PERIOD = 0.02  # s
 _ALWAYS = (
     "world axes",
     "arena clear",
+    "camera rate",
     "{} connected",
     "{} state",
     "{} battery",
     "{} estimator",
     "{} agrees with cameras",
     "{} controller",
+    "{} heading",
     "{} at start",
 )
 _WITH_PEOPLE = ("disk", "e-stop tested", "{} is body {}")
@@ -149,6 +151,7 @@ class FlightChecklist:
         machine: tuple[Callable[[pf.Preflight], list[pf.Line]], ...] = (
             pf.check_axes,
             pf.check_strangers,
+            pf.check_cameras,
         )
         each: tuple[Callable[[pf.Preflight, pf.VehicleFacts], list[pf.Line]], ...] = (
             pf.check_connected,
@@ -159,12 +162,13 @@ class FlightChecklist:
         )
         if self._uri is not None:
             machine = (*machine, pf.check_disk, pf.check_estop)
-            each = (*each, pf.check_body)
+            each = (*each, pf.check_body, pf.check_heading)
         checklist = pf.Preflight(
             self._level,
             [fact],
             poses=bodies.now(),
             bodies=sorted(bodies.now()),
+            camera_rate=bodies.frames.rate,
             known=bodies.known(Fence.from_level(self._level)),
             estop=EmergencyStop([], clock),
             out=self._out,

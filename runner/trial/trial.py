@@ -38,11 +38,14 @@ from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.records.scene import scene_update
 from crazyarena.runner.trial.control_loop import ControlLoop, Deadlines
 from crazyarena.runner.trial.options import FlightOptions
-from crazyarena.runner.trial.phase import Aborted, MeasuredTrack
+from crazyarena.runner.trial.phase import Aborted, MeasuredTrack, Phase
 from crazyarena.runner.trial.staging import Staging
 from crazyarena.runner.trial.world import World
 
 _ENDS_TRIAL = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT, INTERRUPTED, SAFETY, ABORTED)
+# Of these, where the vehicle is new in every episode; a controller that failed is made anew, too.
+_ENDS_RENEWED = (INTERRUPTED, ABORTED)
+_FAILED = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT)
 
 
 def require_firmware(level: Level) -> None:
@@ -101,7 +104,8 @@ class Trial:
         self._on_step = on_step
         self._on_episode = on_episode
         self._wall = wall if wall is not None else WallClock()
-        self._made = False
+        self._made = self._flown = False
+        self._last_endings = _ENDS_RENEWED if self._staging.renews else _ENDS_TRIAL
 
     def run(self) -> TrialResult:
         """Fly; raises InputError when the controller cannot be constructed."""
@@ -114,11 +118,15 @@ class Trial:
             for index in range(self._episodes):
                 result, obs = self._episode(index, random.reset(), referee, obs, interrupt)
                 results.append(result)
-                if interrupt.asked or result.termination in _ENDS_TRIAL:
+                if interrupt.asked or result.termination in self._last_endings:
                     break
                 if index + 1 < self._episodes:
+                    if result.termination in _FAILED:
+                        self._made = False
+                        continue
+                    flown = result.termination
                     self._hook("interEpisodeReset", result, interrupt)
-                    if result.error is not None:
+                    if result.termination != flown:
                         break
         return TrialResult(results, self._episodes)
 
@@ -140,9 +148,7 @@ class Trial:
             if staging.fresh or not self._made:
                 obs = observation(start)
             if not self._made:
-                with staging.else_abort():
-                    self._contestant.make(obs, self._level, start)
-                self._made = True
+                self._make(obs, start)
         except Aborted as error:
             return self._aborted(index, error), obs
         with staging.else_abort():
@@ -165,6 +171,17 @@ class Trial:
         if self._on_episode is not None:
             self._on_episode(result, recorder, track)
         return result, obs
+
+    def _make(self, obs: list[Any], start: np.ndarray) -> None:
+        with self._staging.else_abort():
+            try:
+                self._contestant.make(obs, self._level, start)
+            except InputError as error:
+                if not self._flown:
+                    raise
+                # It could be made once: what was flown since is not thrown away.
+                raise Aborted(Phase.SURVEY, str(error)) from error
+        self._made = self._flown = True
 
     def _run(
         self,

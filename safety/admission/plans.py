@@ -151,8 +151,9 @@ def _excess(room: Room, plan: Plan, origin: Motion) -> float:
         if np.linalg.norm(rows, axis=1).max() > _SLACK * max(limit, now):
             return math.inf
     fence = room.fence
-    x, y, z = origin.position
-    least = min(0.0, fence.room(x, y, max(z, fence.floor)))
+    # No nearer to the fence than where it begins and ends, or the soft limit.
+    begin, end = (fence.room(x, y, max(z, fence.floor)) for x, y, z in (origin.position, plan.end))
+    least = min(fence.soft_margin, begin, max(end, 0.0))
     if any(fence.room(x, y, max(z, fence.floor)) < least - 1e-6 for x, y, z in places.tolist()):
         return math.inf
     if not room.link_loss.on:

@@ -1,4 +1,4 @@
-"""The bench: cflib over UDP and radio, cameras over zenoh, real time. Long, and in need of two CPUs."""
+"""The bench: cflib over UDP and radio, cameras over zenoh, real time. Long, needs two CPUs."""
 
 import json
 import signal

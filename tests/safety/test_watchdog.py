@@ -420,3 +420,45 @@ def test_thread_reacts_to_a_frame_and_ends():
     finally:
         rig.watchdog.close()
     assert not any(thread.name == "watchdog" for thread in threading.enumerate())
+
+
+def test_a_frozen_pose_with_jitter_is_found_as_an_old_one():
+    rig = Rig()
+    rig.fly()
+    frozen = rig.vehicle.position.copy()
+    for _ in range(40):
+        now = rig.clock.now() + 0.01
+        rig.clock.sleep_until(now)
+        jitter = rig.rng.uniform(-1.0, 1.0, 3) * 3e-6
+        rig.show({"cf1": Pose(frozen + jitter, LEVEL)}, True, (), now)
+        rig.watchdog.step()
+    taken = [e.rule for e in rig.watchdog.events if e.action.takes_over]
+    assert taken[:1] == ["pose_stale"]
+
+
+def test_nothing_takes_off_by_slow_cameras():
+    rig = Rig()
+    for k in range(20):
+        now = 0.1 * (k + 1)
+        rig.clock.sleep_until(now)
+        rig.show({"cf1": Pose(rig.vehicle.position + rig.noise(), LEVEL)}, True, (), now)
+        rig.watchdog.step()
+    with pytest.raises(Refused, match="10 frames a second"):
+        rig.gate.runner.send(c.Takeoff(1.0, 2.0), 1)
+    for _ in range(120):
+        rig.frame()
+    rig.gate.runner.send(c.Takeoff(1.0, 2.0), 1)
+
+
+def test_begun_anew_nothing_of_the_flight_before_counts():
+    rig = Rig()
+    rig.fly()
+    rig.watchdog.request(Action.CUT, "test")
+    rig.frame()
+    with pytest.raises(Refused):
+        rig.gate.runner.send(c.Takeoff(1.0, 2.0), 1)
+    rig.gate.renew()
+    rig.watchdog.renew()
+    rig.fly()
+    assert rig.watchdog.action(1) is Action.NONE
+    assert rig.watchdog.events[-1].rule == "test"

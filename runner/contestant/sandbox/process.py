@@ -111,6 +111,9 @@ class Sandboxed:
         track = level.track.model_copy(update={"gates": still})
         public = level.model_copy(update={"seed": 0, "track": track})
         payload = (obs, public, start)
+        if self._step is not None:
+            # An earlier episode ended without the answer to its last question.
+            self.wait(self._limits.make_timeout)
         self._request("make", payload, self._limits.make_timeout, "Controller(...)")
 
     def ask(self, question: Question) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import signal
@@ -273,6 +274,24 @@ def test_controller_decides_the_braking(swarm):
     pid.allcfs.setParam("stabilizer.controller", 1)
     with pytest.raises(CommandError, match=r"set it in the vehicle list"):
         mellinger.allcfs.setParam("stabilizer/controller", 1)
+
+
+def test_two_vehicles_that_fly_at_each_other_do_not_meet(swarm):
+    guarded = swarm()
+    left, right = airborne(guarded)
+    left.goTo([1.0, 0.0, 1.0], 0.0, 2.5)
+    right.goTo([-1.0, 0.0, 1.0], 0.0, 2.5)
+    closest = math.inf
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CrazyswarmWarning)
+        for _ in range(300):
+            with contextlib.suppress(FlightEnded):
+                guarded.timeHelper.sleep(0.01)
+            closest = min(closest, math.dist(left.position(), right.position()))
+    rules = {e.rule for e in guarded.allcfs.guard.events if e.severity.takes_over}
+    assert "neighbour_predicted" in rules
+    assert closest > 0.15
+    assert not guarded.allcfs.contacts
 
 
 # How it is asked for

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -131,6 +133,26 @@ def test_the_name_of_another_vehicle(tmp_path):
         assert "cf1" in red["cf2 is body cf2"]["remedy"]
         assert red["arena clear"]["found"] == "cf1"
         assert "cf2 at start" in red
+
+
+@pytest.mark.parametrize("degrees", [20, -45, 90, 180])
+def test_a_body_whose_nose_is_not_the_vehicles(tmp_path, degrees):
+    with Stage(places=[START], noses={"cf1": math.radians(degrees)}) as stage:
+        called = Called(tmp_path, stage, "--tip", "--wait", "2", "--waive", "e-stop tested")
+        called.until("Tip cf1 by hand")
+        stage.tip(0, 0.5)
+        called.until("Body cf1 was tipped")
+        stage.put_down()
+        code, _, red = called.end()
+        assert code == 1
+        (found,) = re.findall(r"nose is (\S+) deg", red["cf1 heading"]["found"])
+        assert abs(math.remainder(float(found) - degrees, 360.0)) < 5.0
+        (remedy,) = re.findall(r"by (\S+) deg about z", red["cf1 heading"]["remedy"])
+        assert float(remedy) == -float(found)
+        # The next command remembers it.
+        code, _, red = Called(tmp_path, stage, "--wait", "2", "--waive", "e-stop tested").end()
+        assert code == 1
+        assert "cf1 heading" in red
 
 
 def test_a_body_that_nobody_tips_is_not_taken_for_the_vehicle(tmp_path):

@@ -1,5 +1,6 @@
 """Dongles whose air is in another process, and what travels between."""
 
+import contextlib
 import os
 import socket
 import subprocess
@@ -102,7 +103,7 @@ def test_rubbish_is_not_answered_and_harms_nobody(gateway):
         stranger.connect((host, int(port)))
         for rubbish in (b"", b"\xff", b"CRV1" + bytes(60), os.urandom(200)):
             stranger.send(rubbish)
-        with pytest.raises(TimeoutError):
+        with contextlib.suppress(TimeoutError):
             while True:
                 # All zeros is a question for the dongles, which any stranger may ask.
                 assert stranger.recv(256)[4] == wire.Kind.DONGLES
