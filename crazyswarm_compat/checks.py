@@ -16,6 +16,7 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import CommandError
 
 PIECE_COLUMNS = 33  # duration, then 8 coefficients each for x, y, z, yaw
+LIMIT = 1e5  # m, s, rad, m/s ...: beyond any vehicle, and what firmware is asked to take
 MEMORY_PIECES = 31  # 4096 bytes of trajectory memory, 132 bytes a piece
 
 
@@ -34,7 +35,9 @@ class _Checker:
     def fail(self, argument: str, found: object, wanted: str) -> None:
         raise CommandError(f"{self.where}: {argument} is {found!r}; it must be {wanted}")
 
-    def number(self, argument: str, value: Any, low: float = -math.inf) -> None:
+    def number(
+        self, argument: str, value: Any, low: float = -math.inf, high: float = LIMIT
+    ) -> None:
         wanted = "a finite number" if low == -math.inf else f"a finite number >= {low:g}"
         try:
             number = float(value)
@@ -42,6 +45,8 @@ class _Checker:
             self.fail(argument, value, wanted)
         if not math.isfinite(number) or number < low:
             self.fail(argument, value, wanted)
+        if abs(number) > high:
+            self.fail(argument, value, f"within ±{high:g}")
 
     def positive(self, argument: str, value: Any) -> None:
         self.number(argument, value)
@@ -59,6 +64,8 @@ class _Checker:
         x, y, z = found = array.tolist()
         if finite and not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
             self.fail(argument, found, "three finite numbers")
+        if finite and not (-LIMIT <= x <= LIMIT and -LIMIT <= y <= LIMIT and -LIMIT <= z <= LIMIT):
+            self.fail(argument, found, f"three numbers within ±{LIMIT:g}")
 
     def byte(self, argument: str, value: Any) -> None:
         try:
@@ -162,7 +169,7 @@ def check_param_name(who: str, name: Any) -> str:
 
 def _set_param(k: _Checker, m: c.SetParam) -> None:
     check_param_name(k.where, m.name)
-    k.number(f"value of {m.name}", m.value)
+    k.number(f"value of {m.name}", m.value, high=math.inf)
 
 
 def _led(k: _Checker, m: c.SetLed) -> None:

@@ -195,6 +195,12 @@ class FleetCore:
         self.crazyfliesById = VehiclesById((cf.id, cf) for cf in self.crazyflies)
         # A script has no call that ends a fleet, and may keep only one of its vehicles: the
         # link is released at exit, unless it has gone before. A guard stays to the end.
+        report = getattr(link, "script_report", None)
+        self._report = None if report is None else report(guard is not None)
+        if self._report is not None:
+            # Registered first, so that it has the last word.
+            atexit.register(self._report.exit)
+            timeHelper.while_sleeping(self._report.check)
         if guard is None:
             atexit.register(_close, weakref.ref(link))
         else:
@@ -232,6 +238,9 @@ class FleetCore:
             self.guard.finish()
         if self._feed is not None:
             self._feed.close()
+        if self._report is not None:
+            atexit.unregister(self._report.exit)
+            self._report.finish()
         self._backend.close()
 
     def emergency(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,6 +105,15 @@ class Host:
         return obey(self.server, self.air, line)
 
 
+def _say_behind(seconds: float) -> None:
+    print(
+        f"virtual-cf: {seconds:.1f} s behind real time: this computer is too busy; vehicles and "
+        "cameras look late and jerky to whoever flies them (fewer vehicles, or other programs?)",
+        file=sys.stderr,
+        flush=True,
+    )
+
+
 def build(options: Options) -> Host:
     """Make everything, compile the kernels, listen; the server is not started yet.
 
@@ -164,6 +174,7 @@ def build(options: Options) -> Host:
             cameras=cameras,
             publisher=publisher,
             seed=options.seed,
+            on_behind=_say_behind,
         )
     except InputError:
         if publisher is not None:
