@@ -17,6 +17,7 @@ from crazyarena.errors import CommandError
 
 PIECE_COLUMNS = 33  # duration, then 8 coefficients each for x, y, z, yaw
 LIMIT = 1e5  # m, s, rad, m/s ...: beyond any vehicle, and what firmware is asked to take
+SIMULATED_PIECES = 256  # simulations take more, with a warning
 MEMORY_PIECES = 31  # 4096 bytes of trajectory memory, 132 bytes a piece
 
 
@@ -143,12 +144,19 @@ def _upload(k: _Checker, m: c.UploadTrajectory) -> None:
     bad = np.flatnonzero(~np.isfinite(pieces).all(axis=1) | (pieces[:, 0] <= 0))
     if len(bad):
         k.fail(f"piece {bad[0]}", pieces[bad[0]].tolist(), "finite, with a duration > 0")
-    end = int(m.piece_offset) + len(pieces)
-    if end > MEMORY_PIECES:
-        raise CommandError(
-            f"{k.where}: {len(pieces)} pieces at pieceOffset {m.piece_offset} end at piece {end}, "
-            f"but the trajectory memory holds {MEMORY_PIECES} pieces for all trajectories together"
-        )
+    if int(m.piece_offset) + len(pieces) > SIMULATED_PIECES:
+        raise CommandError(f"{k.where}: {beyond_memory(m, SIMULATED_PIECES)}")
+
+
+def beyond_memory(m: c.UploadTrajectory, held: int = MEMORY_PIECES) -> str | None:
+    """What is too much for a memory of ``held`` pieces; None if it fits."""
+    end = int(m.piece_offset) + len(m.pieces)
+    if end <= held:
+        return None
+    return (
+        f"{len(m.pieces)} pieces at pieceOffset {m.piece_offset} end at piece {end}, but the "
+        f"trajectory memory holds {held} pieces for all trajectories together"
+    )
 
 
 def _start(k: _Checker, m: c.StartTrajectory) -> None:

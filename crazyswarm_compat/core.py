@@ -20,8 +20,9 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.checks import check
 from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
-from crazyarena.crazyswarm_compat.guard import FleetGuard
+from crazyarena.crazyswarm_compat.guard import FleetGuard, FlightEnded
 from crazyarena.crazyswarm_compat.hardware import PoseFeed, land_flying, start_hardware
+from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.registry import open_backend, open_guard
 from crazyarena.errors import BackendError, CommandError
 from crazyarena.types import VehicleContact, VehicleState
@@ -210,6 +211,17 @@ class FleetCore:
     def _send(self, command: c.Command) -> None:
         check(command, EVERYBODY)
         self._backend.send(command, None)
+
+    def _set_param(self, name: str, value: float) -> None:
+        command = c.SetParam(name, value)
+        check(command, EVERYBODY)
+        for vehicle in self._backend.vehicles:
+            try:
+                self._backend.send(command, vehicle)
+            except FlightEnded:
+                raise
+            except BackendError as error:
+                warn(f"setParam: ignored; {error}")
 
     def _start_hardware(
         self, fleet: FleetConfig, clock: Clock, mocap: str | None, watchdog: bool

@@ -15,7 +15,7 @@ import numpy as np
 
 from crazyarena.clock import Clock, VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.crazyswarm_compat.checks import check, verb
+from crazyarena.crazyswarm_compat.checks import MEMORY_PIECES, SIMULATED_PIECES, check, verb
 from crazyarena.crazyswarm_compat.config import FleetConfig
 from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.pitfalls import (
@@ -79,6 +79,7 @@ class ArenaBackend:
             ids=[config.id for config in fleet.vehicles],
             threads=min(os.cpu_count() or 1, len(fleet.vehicles) // _VEHICLES_PER_THREAD),
             downwash=downwash,
+            pieces=SIMULATED_PIECES,
         )
         self._stored = [StoredTrajectories(config.name) for config in fleet.vehicles]
         self._streams: list[type | None] = [None] * len(fleet.vehicles)
@@ -229,11 +230,17 @@ class PyBulletFleet(ArenaFleet):
     """``arena`` vehicles whose bodies PyBullet moves; rotors and battery stay compiled."""
 
     def __init__(
-        self, positions: np.ndarray, *, ids: Sequence[int], threads: int = 1, downwash: bool = False
+        self,
+        positions: np.ndarray,
+        *,
+        ids: Sequence[int],
+        threads: int = 1,
+        downwash: bool = False,
+        pieces: int = MEMORY_PIECES,
     ) -> None:
         from crazyarena.sim_backend.physics.pybullet_engine import PyBulletEngine
 
-        super().__init__(positions, ids=ids, threads=threads)
+        super().__init__(positions, ids=ids, threads=threads, pieces=pieces)
         self._engine = PyBulletEngine(self.plants[:, :FULL_PLANT_SIZE], dt=DT, wakes=downwash)
         self._engine.reset(self.bodies[:, B_POS : B_POS + 3])
 

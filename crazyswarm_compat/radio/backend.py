@@ -7,6 +7,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from crazyarena.clock import Clock, VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.crazyswarm_compat.checks import check
+from crazyarena.crazyswarm_compat.checks import beyond_memory, check
 from crazyarena.crazyswarm_compat.config import FleetConfig
 from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.radio import packets as pk
@@ -183,14 +184,7 @@ class RadioBackend:
         if latest.link_quality is None:
             loss = link.pings.summary()[0]
             if loss is not None:
-                return Telemetry(
-                    latest.timestamp,
-                    latest.battery,
-                    1.0 - loss,
-                    latest.rssi,
-                    latest.supervisor,
-                    latest.state,
-                )
+                return replace(latest, link_quality=1.0 - loss)
         return latest
 
     def get_param(self, vehicle: int, name: str) -> float:
@@ -265,7 +259,11 @@ class RadioBackend:
         """
         link = self._link(vehicle)
         rows = np.asarray(pieces, dtype=np.float64)
-        check(c.UploadTrajectory(trajectory_id, piece_offset, rows), link.name)
+        command = c.UploadTrajectory(trajectory_id, piece_offset, rows)
+        check(command, link.name)
+        too_much = beyond_memory(command)
+        if too_much is not None:
+            raise CommandError(f"{link.name}: uploadTrajectory: {too_much}")
         link.upload(int(trajectory_id), int(piece_offset), rows)
 
     def prepare(

@@ -11,7 +11,7 @@ from cflib.crtp.crtpstack import CRTPPacket, CRTPPort
 
 from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.crazyswarm_compat.checks import verb
+from crazyarena.crazyswarm_compat.checks import beyond_memory, verb
 from crazyarena.crazyswarm_compat.config import VehicleConfig
 from crazyarena.crazyswarm_compat.pitfalls import (
     IGNORED,
@@ -42,7 +42,7 @@ from crazyarena.crazyswarm_compat.radio.quality import LinkStatistics, Pings, Ro
 from crazyarena.crazyswarm_compat.radio.sender import Sender
 from crazyarena.crazyswarm_compat.radio.telemetry import FLYING, LOCKED, TelemetryReader
 from crazyarena.crazyswarm_compat.radio.trajectory_memory import TrajectoryMemory
-from crazyarena.errors import BackendError
+from crazyarena.errors import BackendError, CommandError
 
 _CONTROLLER = "stabilizer.controller"
 _MASK_PARAM = "hlCommander.groupmask"
@@ -432,6 +432,9 @@ class VehicleLink:
     # Trajectories
 
     def _upload_in_background(self, command: c.UploadTrajectory) -> None:
+        too_much = beyond_memory(command)
+        if too_much is not None:
+            raise CommandError(f"{self.name}: uploadTrajectory: {too_much}")
         pk.trajectory_bytes(command.pieces)
         ident = int(command.trajectory_id)
         self.outbox.upload_begins(ident)

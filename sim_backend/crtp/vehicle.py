@@ -202,6 +202,7 @@ class VirtualCrazyflie:
 
             return read
 
+        fleet, index = self.flight.fleet, self.flight.index
         names = {f"ring.{name}": param(f"ring.{name}") for name in ("effect", "solidRed")}
         names |= {f"ring.{name}": param(f"ring.{name}") for name in ("solidGreen", "solidBlue")}
         for axis, name in enumerate("xyz"):
@@ -210,6 +211,7 @@ class VirtualCrazyflie:
             names[f"locSrv.{name}"] = attitude(axis)
         return names | {
             "locSrvZ.tick": lambda: self.flight.measured_at & 0xFFFF,
+            "pm.state": lambda: fleet.power.state(index, fleet.tick),
             "radio.rssi": lambda: _RSSI,
             "radio.isConnected": lambda: 1,
             "radio.numRxUc": lambda: self.counters.received & 0xFFFF,
