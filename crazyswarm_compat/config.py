@@ -473,6 +473,12 @@ def load_crazyflies_2(given: str | os.PathLike[str]) -> FleetConfig:
     )
 
 
+def load_crazyflies(given: str | os.PathLike[str]) -> FleetConfig:
+    """Read the vehicle list of either generation: ``robots`` make it one of Crazyswarm2."""
+    document = load_yaml(given, "crazyflies.yaml")
+    return load_crazyflies_1(given) if document.get("robots").absent else load_crazyflies_2(given)
+
+
 def _guard(document: Node) -> str | None:
     """Arena of the key ``guard``; a file is looked for beside the vehicle list first."""
     node = document.get("guard")

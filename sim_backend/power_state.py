@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 ON_BATTERY, LOW, EMPTY = 0, 3, 4  # of pm.state
 LOW_VOLTS, EMPTY_VOLTS = 3.2, 3.0
+# V above which a lithium cell at rest holds 10, 20 ... 90 % of its charge.
+_LEVELS = (3.7, 3.74, 3.77, 3.79, 3.82, 3.87, 3.92, 4.0, 4.1)
 _PATIENCE = 5000  # ms under a voltage: a moment of full thrust is no empty battery
 
 
@@ -27,3 +29,8 @@ class PowerStates:
         if tick - self._above_empty[vehicle] > _PATIENCE:
             return EMPTY
         return LOW if tick - self._above_low[vehicle] > _PATIENCE else ON_BATTERY
+
+
+def battery_level(volts: float) -> int:
+    """``pm.batteryLevel``: per cent in steps of ten, by the terminals alone."""
+    return 10 * sum(volts > step for step in _LEVELS)

@@ -45,6 +45,7 @@ from crazyarena.crazyswarm_compat.radio.trajectory_memory import TrajectoryMemor
 from crazyarena.errors import BackendError, CommandError
 
 _CONTROLLER = "stabilizer.controller"
+_EVERYWHERE = 1e6  # m, of a box without bounds
 _MASK_PARAM = "hlCommander.groupmask"
 
 
@@ -422,8 +423,9 @@ class VehicleLink:
         if m.enable:
             for axis, name in enumerate("XYZ"):
                 self._write_later(f"colAv.ellipsoid{name}", float(m.radii[axis]))
-                self._write_later(f"colAv.bboxMin{name}", float(m.bbox_min[axis]))
-                self._write_later(f"colAv.bboxMax{name}", float(m.bbox_max[axis]))
+                low, high = float(m.bbox_min[axis]), float(m.bbox_max[axis])
+                self._write_later(f"colAv.bboxMin{name}", max(low, -_EVERYWHERE))
+                self._write_later(f"colAv.bboxMax{name}", min(high, _EVERYWHERE))
             self._write_later("colAv.horizon", m.horizon)
             self._write_later("colAv.maxSpeed", m.max_speed)
         self._write_later("colAv.enable", int(m.enable))
