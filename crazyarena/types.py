@@ -67,7 +67,8 @@ class Telemetry:
     """Last known health of one vehicle; ``None`` where the link has not told yet.
 
     battery V; link_quality 0..1; rssi dBm (negative); supervisor is the bit field of the
-    firmware's ``supervisor.info``; state is the on-board estimate.
+    firmware's ``supervisor.info``; state is the on-board estimate; power_state is ``pm.state``:
+    0 on battery, 1 charging, 2 charged, 3 low, 4 empty.
     """
 
     timestamp: float
@@ -76,6 +77,7 @@ class Telemetry:
     rssi: float | None = None
     supervisor: int | None = None
     state: VehicleState | None = None
+    power_state: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 import os
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -373,6 +374,36 @@ def load_types_1(given: str | os.PathLike[str]) -> TypesConfig:
     return TypesConfig(types, markers, dynamics)
 
 
+class _Problem(NamedTuple):
+    text: str
+    refused: bool
+
+
+def _id_of(uri: str, name: str, others: Sequence[VehicleConfig]) -> tuple[int, _Problem | None]:
+    """Number by which a vehicle goes: the last byte of its address, where that is free."""
+    number = int(uri[-2:], 16)
+    same = [other for other in others if int(str(other.uri)[-2:], 16) == number]
+    for other in same:
+        if _link_of(str(other.uri)) == _link_of(uri):
+            return number, _Problem(f"a link of its own; {other.name} has this one", True)
+    if not same:
+        taken = {other.id for other in others}
+        if number not in taken:
+            return number, None
+    free = max(set(range(256)) - {other.id for other in others} - {number})
+    names = ", ".join(other.name for other in same) or "a vehicle before it"
+    return free, _Problem(
+        f"the last byte of its address is that of {names}; {name} goes by number {free} here, and "
+        "crazyfliesById holds the last of them (crazyfliesByName has all)",
+        False,
+    )
+
+
+def _link_of(uri: str) -> str:
+    """What a vehicle hears: a radio link without the dongle; cflib's default rate is 2M."""
+    return uri.partition("://")[2].partition("/")[2] if uri.startswith("radio://") else uri
+
+
 _URI = re.compile(r"^[a-z]+://.*[0-9a-fA-F]{2}$")
 
 
@@ -394,7 +425,7 @@ def load_crazyflies_2(given: str | os.PathLike[str]) -> FleetConfig:
     types = document.get("robot_types").mapping_or_empty()
     common = document.get("all")
     common = Node({}, common.source, common.path) if common.absent else common
-    vehicles, nodes = [], []
+    vehicles: list[VehicleConfig] = []
     for name, node in document.get("robots").mapping().items():
         if not node.get("enabled").flag(True):
             continue
@@ -419,9 +450,14 @@ def load_crazyflies_2(given: str | os.PathLike[str]) -> FleetConfig:
              if not n.absent),
             "world",
         )  # fmt: skip
+        number, problem = _id_of(uri.text(), name, vehicles)
+        if problem is not None:
+            if problem.refused:
+                raise uri.fail(problem.text)
+            warnings.warn(f"{uri.source}: {uri.path}: {problem.text}", stacklevel=3)
         vehicles.append(
             VehicleConfig(
-                id=int(uri.text()[-2:], 16),
+                id=number,
                 name=name,
                 initial_position=node.get("initial_position").vector(),
                 uri=uri.text(),
@@ -442,8 +478,6 @@ def load_crazyflies_2(given: str | os.PathLike[str]) -> FleetConfig:
                 vehicle=_vehicle(node, kind, common, document),
             )
         )
-        nodes.append(node)
-    _unique_ids(vehicles, nodes)
     repeats = common.get("broadcasts")
     repeats = Node({}, repeats.source, repeats.path) if repeats.absent else repeats
     count = repeats.get("num_repeats")
@@ -454,6 +488,12 @@ def load_crazyflies_2(given: str | os.PathLike[str]) -> FleetConfig:
         broadcast_delay=repeats.get("delay_between_repeats_ms").number(1.0) / 1e3,
         guard=_guard(document),
     )
+
+
+def load_crazyflies(given: str | os.PathLike[str]) -> FleetConfig:
+    """Read the vehicle list of either generation: ``robots`` make it one of Crazyswarm2."""
+    document = load_yaml(given, "crazyflies.yaml")
+    return load_crazyflies_1(given) if document.get("robots").absent else load_crazyflies_2(given)
 
 
 def _guard(document: Node) -> str | None:

@@ -52,6 +52,15 @@ class CommandLost(LinkEvent):
 
 
 @dataclass(frozen=True, slots=True)
+class CommandDoubtful(LinkEvent):
+    """A command went out that the vehicle will ignore or take otherwise than it reads;
+    ``reason`` says why."""
+
+    verb: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class StreamEnded(LinkEvent):
     """Streamed setpoints fell silent and the vehicle was handed to its high-level commander;
     ``action`` is hold, land or idle."""

@@ -6,7 +6,7 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ _MOTION = ("x", "y", "z", "vx", "vy", "vz", "quat")
 _RATES = ("rateRoll", "ratePitch", "rateYaw")
 # The last is the vehicle's own count of the packets it got.
 _COUNT = "radio.numRxUc"
-_HEALTH = ("pm.vbat", "supervisor.info", "radio.rssi", _COUNT)
+_HEALTH = ("pm.vbat", "pm.state", "supervisor.info", "radio.rssi", _COUNT)
 # What firmware before the supervisor told instead.
 _OLD_FLAGS = (("sys.canfly", CAN_FLY), ("sys.isFlying", FLYING), ("sys.isTumbled", TUMBLED))
 _TICKS = 1 << 24
@@ -217,8 +217,7 @@ class TelemetryReader:
     def _update(self, **changes: Any) -> None:
         with self._lock:
             old = self._last
-            fields = ("timestamp", "battery", "link_quality", "rssi", "supervisor", "state")
-            self._last = Telemetry(**{name: getattr(old, name) for name in fields} | changes)
+            self._last = replace(old, **changes)
 
     def _motion(self, values: Mapping[str, float]) -> None:
         now = self._clock.now()
@@ -237,6 +236,8 @@ class TelemetryReader:
         changes: dict[str, Any] = {"timestamp": self._clock.now()}
         if "pm.vbat" in values:
             changes["battery"] = float(values["pm.vbat"])
+        if "pm.state" in values:
+            changes["power_state"] = int(values["pm.state"])
         if "radio.rssi" in values:
             changes["rssi"] = -float(values["radio.rssi"])
         if _COUNT in values:

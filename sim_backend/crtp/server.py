@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import selectors
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -20,6 +20,8 @@ from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
 
 _WAKE_MS = 4  # between wake-ups when nothing arrives
 _STALL_MS = 50  # behind wall time by more than this is worth counting
+_BEHIND_MS = 500  # behind by more than this, whoever flies should hear of it,
+_BEHIND_PAUSE = 5.0  # s, but not all the time
 _SLICE_MS = 100  # caught up at a time, between looks at the sockets
 _FILM_MS = 4  # between looks of the cameras: after a stall, too, they have seen every place
 
@@ -89,6 +91,8 @@ class VirtualServer:
     cameras: sees the true poses; what it delivers is given to ``publisher``.
     publisher: sends the frames of the cameras to whoever listens.
     seed: of the faults' randomness.
+    on_behind: told by how many seconds the simulation has fallen behind wall time, at most every
+        five seconds, when that is more than half a second.
 
     Raises
     ------
@@ -107,6 +111,7 @@ class VirtualServer:
         cameras: PushedCameras | None = None,
         publisher: ZenohPublisher | None = None,
         seed: int = 0,
+        on_behind: Callable[[float], None] | None = None,
     ) -> None:
         self.swarm = swarm
         self.pace = Pace()
@@ -114,6 +119,8 @@ class VirtualServer:
         self._clock = clock or WallClock()
         self._cameras = cameras
         self._publisher = publisher
+        self._on_behind = on_behind
+        self._behind_told = -math.inf
         self._origin: float | None = None
         self._first_tick = swarm.fleet.tick
         self._lock = threading.RLock()
@@ -230,6 +237,10 @@ class VirtualServer:
         self.pace.worst = max(self.pace.worst, behind)
         if behind > _STALL_MS:
             self.pace.stalls += 1
+        if behind > _BEHIND_MS and now - self._behind_told > _BEHIND_PAUSE:
+            self._behind_told = now
+            if self._on_behind is not None:
+                self._on_behind(1e-3 * behind)
         if behind >= _WAKE_MS:
             ticks = min(behind, _SLICE_MS)
             self.pace.ticks += ticks

@@ -22,6 +22,7 @@ from crazyarena.crazyswarm_compat.radio import (
     TrajectoryUploaded,
 )
 from crazyarena.errors import BackendError, CommandError, InputError
+from crazyarena.sim_backend.crtp.toc import Table
 from crazyarena.types import Pose
 from tests.crazyswarm_compat.radio.conftest import Hangar
 from tests.waiting import eventually
@@ -81,7 +82,7 @@ class TestConnecting:
             second = RadioBackend(hangar.config(), WallClock(), options)
             second.close()
             assert [path.stat().st_mtime_ns for path in stored] == before
-            # 271 parameters are read, but their descriptions are not.
+            # Their descriptions are not read again.
             assert hangar.server.swarm.vehicles[0].counters.received - received[0] < 450
         finally:
             hangar.close()
@@ -206,8 +207,7 @@ class TestParameters:
         assert stored == [255, 127, 0]
 
     def test_collision_avoidance_that_the_firmware_lacks(self, world):
-        # The stock build leaves it out.
-        _, backend = world(fed=False)
+        _, backend = world(fed=False, table=Table.RECORDED)
         assert "colAv.enable" not in backend.param_names(1)
         with pytest.raises(BackendError, match=r"cf1: .* without collision avoidance"):
             backend.send(c.CollisionAvoidance(True), 1)
