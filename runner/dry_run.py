@@ -64,11 +64,12 @@ def make_world(level: Level, seed: int, limits: Limits | None = None) -> World:
     return TrackedWorld(simulated(level, seed, limits=limits))
 
 
-def _results_folder(out: Path | None, submission: Path, level: Level) -> Path:
+def results_folder(out: Path | None, submission: Path, level: str) -> Path:
+    """Make the folder of a run: ``out``, or a new one under ``runs/`` named after both."""
     if out is None:
         stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
         stem = submission.stem if submission.suffix == ".py" else submission.name
-        base = Path("runs") / f"{stamp}-{stem}-{level.name}"
+        base = Path("runs") / f"{stamp}-{stem}-{level}"
         out, count = base, 1
         while out.exists():
             count += 1
@@ -138,7 +139,7 @@ class DryRun:
         console = self._console
         level = self._level
         world = self._make_world()
-        self.out = _results_folder(self._wanted_out, self._path, level)
+        self.out = results_folder(self._wanted_out, self._path, level.name)
         if jit.is_cold():
             console.print("Compiling the simulator; only the first run waits for this (< 1 min).")
             if level.profile is Profile.COMPETITION:
