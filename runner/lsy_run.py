@@ -31,6 +31,7 @@ from crazyarena.runner.records.lsy_scene import lsy_scene
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.records.report import machine, versions
 from crazyarena.runner.trial.lsy_episode import COMMAND_LAYOUT, LsyEpisode, LsyEpisodeResult
+from crazyarena.runner.warm_up import compile_missing
 from crazyarena.sim_backend.successor import SuccessorWorld, nominal
 
 FORMAT = 1
