@@ -7,13 +7,14 @@ import math
 import pytest
 
 from crazyarena.levels import load_level
-from crazyarena.runner.contender import InProcess
-from crazyarena.runner.contestant import Submission
-from crazyarena.runner.control_loop import Deadlines
-from crazyarena.runner.crew import Crew
-from crazyarena.runner.flight import FlightTrial
-from crazyarena.runner.rig import simulated
-from crazyarena.runner.tracked_world import TrackedWorld
+from crazyarena.runner.contestant.in_process import InProcess
+from crazyarena.runner.contestant.submission import Submission
+from crazyarena.runner.rig.rig import simulated
+from crazyarena.runner.trial.arena_staging import ArenaStaging
+from crazyarena.runner.trial.control_loop import Deadlines
+from crazyarena.runner.trial.phases import Crew
+from crazyarena.runner.trial.tracked_world import TrackedWorld
+from crazyarena.runner.trial.trial import Trial
 from crazyarena.safety.events import Action
 from crazyarena.sim_backend import arena_world
 from crazyarena.sim_backend.physics.competition_step import B_OMEGA
@@ -62,15 +63,14 @@ def fly(tmp_path, trouble="pass", overrides=(), on_step=None, episodes=3, entry=
         rig = simulated(level, 3)
     (arena,) = arenas
     world = TrackedWorld(rig)
-    contender = InProcess(Submission(entry, tmp_path))
+    contestant = InProcess(Submission(entry, tmp_path))
     try:
         crew = Crew(rig, world, level, anywhere=True)
-        result = FlightTrial(
+        result = Trial(
             level,
-            contender,
+            contestant,
             world,
-            crew=crew,
-            watch=rig.safeguard,
+            staging=ArenaStaging(crew, world, level, rig.safeguard),
             deadlines=Deadlines(),
             episodes=episodes,
             on_step=None
@@ -78,7 +78,7 @@ def fly(tmp_path, trouble="pass", overrides=(), on_step=None, episodes=3, entry=
             else lambda index, time: on_step(rig, arena, index, time),
         ).run()
     finally:
-        contender.close()
+        contestant.close()
         world.close()
     return result
 
