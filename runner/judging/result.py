@@ -33,7 +33,8 @@ class EpisodeResult:
     answer_ms from question to answer.
     missed_ticks: control steps in which no command of the contestant was applied;
     late_commands: commands applied at a later tick than their own; phases: s by name.
-    reveals: when which gate's exact pose was told.
+    reveals: when which gate's exact pose was told. why: the termination with what the referee
+    knows of it, in one line.
     """
 
     index: int
@@ -66,6 +67,7 @@ class EpisodeResult:
     files: dict[str, str] = field(default_factory=dict)
     phases: dict[str, float] = field(default_factory=dict)
     reveals: list[dict[str, Any]] = field(default_factory=list)
+    why: str = ""
 
     @property
     def clean(self) -> bool:

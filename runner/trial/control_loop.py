@@ -31,10 +31,12 @@ from crazyarena.runner.judging.result import (
     EpisodeResult,
     percentiles_ms,
 )
+from crazyarena.runner.judging.why import explain
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.rig.watch import Watch
 from crazyarena.runner.timing.scheduler import Scheduler
 from crazyarena.runner.trial.world import World
+from crazyarena.sim_backend.trace import TR_POS, TRACE_SIZE
 
 
 class LatePolicy(StrEnum):
@@ -118,6 +120,9 @@ class ControlLoop:
         self._flight_time = 0.0
         self._completed = False
         self._error: str | None = None
+        self._rows = np.empty((0, TRACE_SIZE))
+        self._highest = -np.inf
+        self._first: str | None = None
 
     def fly(self, obs: list[Any]) -> tuple[EpisodeResult, list[Any]]:
         """Fly until the referee, the contestant, the watchdog or Ctrl-C ends it.
@@ -217,6 +222,9 @@ class ControlLoop:
         self._violations += verdict.violated
         self._reward += verdict.reward
         self._completed = verdict.completed
+        if len(rows):
+            self._rows = rows
+            self._highest = max(self._highest, float(rows[-1, TR_POS + 2]))
         if self._recorder is not None:
             self._recorder.step(rows, verdict.row)
             for event in verdict.events:
@@ -238,6 +246,8 @@ class ControlLoop:
         if answer.error is not None or answer.asked is None:
             return self._failed(answer.error or "no command", time)
         asked = answer.asked
+        if self._first is None:
+            self._first = asked.name
         sent = asked.command
         if asked.verb == NONE and self._keep_alive:
             sent = self._last
@@ -351,4 +361,18 @@ class ControlLoop:
             answer_ms=percentiles_ms(np.array(self._seconds)),
             error=self._error,
             events=self._events,
+            why=self._why(reason),
+        )
+
+    def _why(self, reason: str) -> str:
+        return explain(
+            reason,
+            self._events,
+            self._rows,
+            self._referee.true_gates,
+            self._referee.level,
+            highest=self._highest,
+            passed=self._referee.gates_passed,
+            first_command=self._first,
+            error=self._error,
         )
