@@ -279,7 +279,7 @@ def test_a_hundred_vehicles_fly_in_one_fleet():
     for i in range(100):
         fleet.set_param(i, "ctrlMel.mass", 0.0319)
         assert fleet.send(c.Takeoff(0.5, 1.0), i) == 0
-    fly(fleet, 1.7)
+    fly(fleet, 3.0)
     fleet.close()
     np.testing.assert_allclose(fleet.bodies[:, :2], np.array(grid)[:, :2], atol=0.01)
     np.testing.assert_allclose(fleet.bodies[:, 2], 0.5, atol=0.03)
