@@ -52,7 +52,7 @@ def test_over_a_virtual_crazyradio(tmp_path):
     document = json.loads((out / "bench_00" / "result.json").read_text())
     assert document["episodes"][0]["termination"] == "MAX EPISODE DURATION", printed
     assert process.returncode == 0
-    assert str(document["backend"]).startswith("radio://")
+    assert document["provenance"]["rig"]["backend"].startswith("radio://")
 
 
 def test_a_killed_bench_leaves_no_process(tmp_path):
