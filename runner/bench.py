@@ -15,7 +15,6 @@ from typing import Any
 from rich.console import Console
 
 from crazyarena.levels.schema import Level
-from crazyarena.mocap.opening import SourceSpec
 from crazyarena.runner.dry_run import DryRun
 from crazyarena.runner.fly import Fly
 from crazyarena.runner.judging.result import TrialResult
@@ -57,6 +56,9 @@ class Bench:
     waive: lines of the pre-flight checklist that must not ground those.
     radio: over a virtual Crazyradio instead of UDP. cameras: fields of CameraModel.
     vehicle, spread: as for :class:`~crazyarena.runner.dry_run.DryRun`; both sides fly the same.
+    mocap: what the cameras speak, one of
+        :data:`~crazyarena.runner.rig.arena_cameras.PROTOCOLS`; mocap_options: of the source that
+        sees through them.
     """
 
     def __init__(
@@ -79,7 +81,11 @@ class Bench:
         cameras: dict[str, Any] | None = None,
         vehicle: VehicleChoice | None = None,
         spread: bool | None = None,
+        mocap: str = "zenoh",
+        mocap_options: dict[str, Any] | None = None,
     ) -> None:
+        self._mocap = mocap
+        self._mocap_options = mocap_options
         self._radio = radio
         self._cameras = cameras
         self._submission = submission
@@ -134,17 +140,24 @@ class Bench:
 
         def open_rig(level: Level, limits: Limits) -> Rig:
             arena = VirtualArena(
-                level, seed, folder, radio=self._radio, cameras=self._cameras, supply=fly.supply
+                level,
+                seed,
+                folder,
+                radio=self._radio,
+                cameras=self._cameras,
+                mocap=self._mocap,
+                mocap_options=self._mocap_options,
+                supply=fly.supply,
             )
             arenas.append(arena)
             try:
                 rig = connected(
                     level,
                     arena.uri,
-                    SourceSpec("zenoh", {"connect": [arena.endpoint]}),
+                    arena.source,
                     limits=limits,
                     real_time=self._real_time,
-                    description={"mocap": f"zenoh {arena.endpoint}", "world": "bench"},
+                    description={"mocap": f"{self._mocap} {arena.endpoint}", "world": "bench"},
                     environment=with_dongles(arena.air) if self._radio else None,
                 )
             except BaseException:

@@ -21,6 +21,7 @@ from crazyarena.runner.cli.common import (
 )
 from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
+from crazyarena.runner.cli.options.mocap import OPTION_HELP
 from crazyarena.runner.cli.options.stops import Waive, flight_stops
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 
@@ -28,6 +29,15 @@ if TYPE_CHECKING:
     from crazyarena.runner.rig.stops import StopOptions
     from crazyarena.runner.trial.options import FlightOptions
     from crazyarena.sim_backend.vehicles import VehicleChoice
+
+
+class CameraChoice(StrEnum):
+    """What the cameras speak."""
+
+    ZENOH = "zenoh"
+    QUALISYS = "qualisys"
+    NATNET = "natnet"
+    VRPN = "vrpn"
 
 
 class LinkChoice(StrEnum):
@@ -58,6 +68,12 @@ def bench(
     mocap_rate: Annotated[
         float | None, typer.Option(min=10.0, max=500.0, metavar="HZ", help="Camera frames.")
     ] = None,
+    mocap: Annotated[
+        CameraChoice, typer.Option(help="What the emulated cameras speak.")
+    ] = CameraChoice.ZENOH,
+    mocap_option: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=VALUE", help=OPTION_HELP)
+    ] = None,
     *,
     vehicle: VehicleChoice,
     vehicle_spread: VehicleSpread = None,
@@ -69,7 +85,7 @@ def bench(
     waive: Waive = None,
     stops: Callable[[str], StopOptions],
 ) -> None:
-    """Fly a virtual Crazyflie over UDP or radio with cameras over zenoh, in real time.
+    """Fly a virtual Crazyflie over UDP or radio with emulated cameras, in real time.
 
     Radio protocol, client, camera network, watchdog and contestant's process are those of a
     flight; --compute is for the dry runs that it is compared with.
@@ -82,6 +98,7 @@ def bench(
         from crazyarena.levels import load_level
         from crazyarena.runner.bench import Bench
         from crazyarena.runner.records import compare as comparing
+        from crazyarena.runner.rig.cameras import numeric, parse_options
 
         console = Console()
         loaded = load_level(level, set_ or [])
@@ -103,6 +120,8 @@ def bench(
             waive=waive or (),
             radio=link is LinkChoice.RADIO,
             cameras=None if mocap_rate is None else {"rate": mocap_rate},
+            mocap=mocap.value,
+            mocap_options=numeric(parse_options(mocap_option or ())),
             stops=stops("bench"),
             vehicle=vehicle,
             spread=vehicle_spread,

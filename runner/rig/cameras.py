@@ -32,6 +32,18 @@ def parse_options(pairs: Sequence[str]) -> dict[str, str]:
     return options
 
 
+def numeric(options: dict[str, Any]) -> dict[str, Any]:
+    """Options of sources, numbers as such; raises InputError for one that is none."""
+    options = dict(options)
+    for key in _NUMBERS:
+        if key in options:
+            try:
+                options[key] = float(options[key])
+            except ValueError:
+                raise InputError(f"--option {key}: found {options[key]!r}; need a number") from None
+    return options
+
+
 def named_source(kind: str, host: str | None, pairs: Sequence[str]) -> SourceSpec:
     """The source of ``--mocap``, ``--host`` and ``--option``, to be opened."""
     options: dict[str, Any] = dict(parse_options(pairs))
@@ -43,13 +55,7 @@ def named_source(kind: str, host: str | None, pairs: Sequence[str]) -> SourceSpe
             options["connect"] = [host]
     elif host is not None and kind != "replay":
         options["hostname"] = host
-    for key in _NUMBERS:
-        if key in options:
-            try:
-                options[key] = float(options[key])
-            except ValueError:
-                raise InputError(f"--option {key}: found {options[key]!r}; need a number") from None
-    return SourceSpec(kind, options)
+    return SourceSpec(kind, numeric(options))
 
 
 def open_named_source(

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
-from crazyarena.mocap.zenoh_link import ZenohPublisher
+from crazyarena.mocap.serve import Outlet
 from crazyarena.sim_backend.crtp.faults import Faults
 from crazyarena.sim_backend.crtp.film import PushedCameras
 from crazyarena.sim_backend.crtp.link import BASE_PORT, UdpLink
@@ -109,7 +109,7 @@ class VirtualServer:
         faults: Faults | None = None,
         clock: Clock | None = None,
         cameras: PushedCameras | None = None,
-        publisher: ZenohPublisher | None = None,
+        publisher: Outlet | None = None,
         seed: int = 0,
         on_behind: Callable[[float], None] | None = None,
     ) -> None:

@@ -67,6 +67,10 @@ def test_real_vendor_client_against_emulated_server_loses_nothing(qualisys_port_
     assert complete(measure("qualisys", 300.0, 2.0, 10))
 
 
+def test_nine_trackers_of_vrpn_lose_nothing():
+    assert complete(measure("vrpn", 100.0, 2.0, 9))
+
+
 @pytest.mark.slow
 def test_zenoh_for_twenty_seconds():
     assert complete(measure("zenoh", 300.0, 20.0, 10))
