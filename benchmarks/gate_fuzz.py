@@ -13,6 +13,7 @@ and the fewest calls of a flight that got out. Exit code 1 if one did.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import time
 from collections import Counter
@@ -34,19 +35,24 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the first flight")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--shrink", type=int, default=1, help="at most so many bad flights")
-    parser.add_argument("--out", type=Path, help="JSON of every flight")
+    parser.add_argument("--out", type=Path, help="a line of JSON for every flight")
     args = parser.parse_args()
     seeds = range(args.seed, args.seed + args.flights)
     begun = time.monotonic()
-    if args.workers > 1:
-        with ProcessPoolExecutor(args.workers) as pool:
-            outcomes = list(pool.map(_flight, seeds, chunksize=4))
-    else:
-        outcomes = [_flight(seed) for seed in seeds]
+    outcomes = []
+    with contextlib.ExitStack() as stack:
+        flown = map(_flight, seeds)
+        if args.workers > 1:
+            pool = stack.enter_context(ProcessPoolExecutor(args.workers))
+            flown = pool.map(_flight, seeds)
+        file = None if args.out is None else stack.enter_context(args.out.open("w"))
+        for outcome in flown:
+            outcomes.append(outcome)
+            if file is not None:
+                file.write(json.dumps(_row(outcome)) + "\n")
+                file.flush()
     took = time.monotonic() - begun
     _table(outcomes, took)
-    if args.out is not None:
-        args.out.write_text(json.dumps([_row(outcome) for outcome in outcomes], indent=1))
     bad = [outcome for outcome in outcomes if outcome.is_bad(_ALLOWED)]
     for outcome in sorted(bad, key=lambda o: -o.badness)[: args.shrink]:
         small = shrink(outcome.script, lambda o: o.is_bad(_ALLOWED))
