@@ -23,7 +23,7 @@ from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
 from crazyarena.crazyswarm_compat.guard import FleetGuard, FlightEnded
 from crazyarena.crazyswarm_compat.hardware import PoseFeed, land_flying, start_hardware
 from crazyarena.crazyswarm_compat.options import warn
-from crazyarena.crazyswarm_compat.registry import open_backend, open_guard
+from crazyarena.crazyswarm_compat.registry import open_backend, open_guard, open_lookout
 from crazyarena.errors import BackendError, CommandError
 from crazyarena.types import VehicleContact, VehicleState
 
@@ -192,6 +192,7 @@ class FleetCore:
         self._backend: Backend = guard or link
         self.guard = guard
         self._feed: PoseFeed | None = None
+        self._time_helper = timeHelper
         self.crazyflies = list(vehicles)
         self.crazyfliesById = VehiclesById((cf.id, cf) for cf in self.crazyflies)
         # A script has no call that ends a fleet, and may keep only one of its vehicles: the
@@ -226,8 +227,15 @@ class FleetCore:
     def _start_hardware(
         self, fleet: FleetConfig, clock: Clock, mocap: str | None, watchdog: bool
     ) -> None:
+        lookout = None
+        if self.guard is None and mocap is not None:
+            bodies = {vehicle.name: vehicle.id for vehicle in fleet.vehicles}
+            lookout = open_lookout(self._link, bodies)
+            self._time_helper.while_sleeping(lookout.check)
         try:
-            self._feed = start_hardware(fleet, self._link, clock, mocap, watchdog, self.guard)
+            self._feed = start_hardware(
+                fleet, self._link, clock, mocap, watchdog, self.guard, lookout
+            )
         except BaseException:
             self.close()
             raise

@@ -171,15 +171,15 @@ def _clock(obs: Observation, fence: Fence, limits: Limits) -> float | None:
 
 
 # Shares of an angle that must be beyond its own uncertainty to be believed.
-_WARN_SURELY, _CUT_SURELY = 0.4, 0.6
+WARN_SURELY, CUT_SURELY = 0.4, 0.6
 
 
 def _turned(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return _at_least(obs, _WARN_SURELY * limits.turn_warn)
+    return _at_least(obs, WARN_SURELY * limits.turn_warn)
 
 
 def _turned_far(obs: Observation, fence: Fence, limits: Limits) -> float | None:
-    return _at_least(obs, _CUT_SURELY * limits.turn_cut)
+    return _at_least(obs, CUT_SURELY * limits.turn_cut)
 
 
 def _at_least(obs: Observation, surely: float) -> float | None:
