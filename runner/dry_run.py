@@ -67,11 +67,12 @@ def make_world(
     return TrackedWorld(simulated(level, seed, limits=limits, supply=supply))
 
 
-def _results_folder(out: Path | None, submission: Path, level: Level) -> Path:
+def results_folder(out: Path | None, submission: Path, level: str) -> Path:
+    """Make the folder of a run: ``out``, or a new one under ``runs/`` named after both."""
     if out is None:
         stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
         stem = submission.stem if submission.suffix == ".py" else submission.name
-        base = Path("runs") / f"{stamp}-{stem}-{level.name}"
+        base = Path("runs") / f"{stamp}-{stem}-{level}"
         out, count = base, 1
         while out.exists():
             count += 1
@@ -172,7 +173,7 @@ class DryRun:
         level = self._level
         compile_missing(parts_of(level), console)
         world = self._make_world()
-        self.out = _results_folder(self._wanted_out, self._path, level)
+        self.out = results_folder(self._wanted_out, self._path, level.name)
         try:
             with contextlib.ExitStack() as stack:
                 stack.callback(world.close)

@@ -130,9 +130,11 @@ ROOMS = (
     ("rig", "records"),
     ("contestant.sandbox",),
     ("contestant",),
-    ("contestant.contract_2022", "contestant.contract_2022.names"),
+    ("contestant.contract_lsy.names",),
+    ("contestant.contract_2022", "contestant.contract_2022.names", "contestant.contract_lsy"),
     ("judging", "timing"),
 )
+STAND_INS = "contestant.contract_lsy.names"
 
 
 def module_name(path: Path) -> str:
@@ -186,6 +188,9 @@ def room_of(name: str) -> str | None:
     if name != prefix and not name.startswith(prefix + "."):
         return None
     inner = name[len(prefix) + 1 :]
+    # Whole packages stand in there, however deep: one room.
+    if inner.startswith(f"{STAND_INS}."):
+        return STAND_INS
     is_room = any(inner == room for level in ROOMS for room in level)
     return inner if is_room else inner.rpartition(".")[0]
 

@@ -29,7 +29,7 @@ _PACKAGES = (
 )
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
     versions = {"crazyarena": __version__, "python": platform.python_version()}
     for package in _PACKAGES:
         try:
@@ -39,7 +39,7 @@ def _versions() -> dict[str, str]:
     return versions
 
 
-def _machine() -> dict[str, Any]:
+def machine() -> dict[str, Any]:
     """The computer, as far as it bears on timing."""
     model = platform.processor()
     with contextlib.suppress(OSError):
@@ -54,9 +54,9 @@ def _machine() -> dict[str, Any]:
 def provenance(level: Level, seed: int, submission: Path, digest: str) -> dict[str, Any]:
     """Everything needed to fly the same again."""
     return {
-        "versions": _versions(),
+        "versions": versions(),
         "platform": platform.platform(),
-        "machine": _machine(),
+        "machine": machine(),
         "command": sys.argv[1:],
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "level": level.name,
