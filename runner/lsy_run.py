@@ -31,7 +31,7 @@ from crazyarena.runner.records.lsy_scene import lsy_scene
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.records.report import machine, versions
 from crazyarena.runner.trial.lsy_episode import COMMAND_LAYOUT, LsyEpisode, LsyEpisodeResult
-from crazyarena.sim_backend import jit
+from crazyarena.runner.warm_up import compile_missing
 from crazyarena.sim_backend.successor import SuccessorWorld, nominal
 
 FORMAT = 1
@@ -133,8 +133,7 @@ class LsyRun:
                 raise InputError(
                     f"--out {self.out}: cannot make this folder: {error.strerror}"
                 ) from error
-        if jit.is_cold():
-            console.print("Compiling the simulator; only the first run waits for this (< 1 min).")
+        compile_missing(("successor",), console)
         world = SuccessorWorld(level)
         random = LsyRandom(level, nominal(level), self.seed)
         referee = LsyReferee(level)

@@ -71,13 +71,31 @@ def _estimator() -> None:
     PoseEstimator(("cf1",)).warm_up()
 
 
+def _successor() -> None:
+    from crazyarena.levels.lsy import load_lsy_level
+    from crazyarena.levels.lsy.draw import LsyRandom
+    from crazyarena.sim_backend.successor import SuccessorWorld, nominal
+
+    level = load_lsy_level("lsy/level0")
+    world = SuccessorWorld(level)
+    world.reset(LsyRandom(level, nominal(level), 0).reset())
+    world.step(np.zeros(level.command_size))
+
+
 REFEREE = Part("referee", ("runner.judging.referee_kernel",), _referee)
 COMPETITION = Part(
     "firmware and physics of 2022", ("sim_backend.competition_kernel",), _competition
 )
 ARENA = Part("today's firmware and its vehicle", ("sim_backend.arena_kernel",), _arena)
 ESTIMATOR = Part("pose estimator", ("mocap.estimator_kernels",), _estimator)
-PARTS = {"referee": REFEREE, "competition": COMPETITION, "arena": ARENA, "estimator": ESTIMATOR}
+SUCCESSOR = Part("lsy_drone_racing's vehicle", ("sim_backend.successor_kernel",), _successor)
+PARTS = {
+    "referee": REFEREE,
+    "competition": COMPETITION,
+    "arena": ARENA,
+    "estimator": ESTIMATOR,
+    "successor": SUCCESSOR,
+}
 
 
 def parts_of(level: Level) -> tuple[str, ...]:

@@ -11,13 +11,13 @@ import math
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.successor_control import (
     CM_COMMAND,
     CONTROL_MEM_SIZE,
     attitude_part,
     position_part,
 )
-from crazyarena.sim_backend.jit import kernel
 from crazyarena.sim_backend.physics.successor_plant import (
     PLANT_STATE_SIZE,
     PP_THRUST,

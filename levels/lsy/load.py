@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from crazyarena.errors import InputError
 from crazyarena.levels.document import Node
-from crazyarena.levels.load import _assign, _assignment, _validate
+from crazyarena.levels.fields import assign, assignment, validate
 from crazyarena.levels.lsy.schema import LsyLevel
 from crazyarena.levels.lsy.toml_document import read_toml
 
@@ -64,11 +64,11 @@ def load_lsy_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> L
     root = read_toml(path, shown)
     ours = dict[str, Node]()
     for override in overrides:
-        keys, value = _assignment(override)
+        keys, value = assignment(override)
         if keys[0] in _OURS and len(keys) == 1:
             ours[str(keys[0])] = value
         else:
-            root = _assign(root, keys, value)
+            root = assign(root, keys, value)
     _refuse_several(root)
     known = Node({k: v for k, v in root.value.items() if k not in _OURS}, "", root.source)
     stem = re.sub(r"[^A-Za-z0-9_.-]", "_", path.stem)
@@ -80,7 +80,7 @@ def load_lsy_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> L
     }
     tree = Node({**known.value, **extra}, "", root.source)
     tree.value["config"] = _Plain(known.plain(), "config", root.source)
-    level = _validate(tree, LsyLevel)  # type: ignore[type-var]
+    level = validate(tree, LsyLevel)
     return level.model_copy(update={"warnings": tuple(_unknown(known, LsyLevel))})
 
 

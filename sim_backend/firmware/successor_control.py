@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.physics.successor_plant import SS_POS, SS_QUAT, SS_RATE, SS_VEL
 
 # Memory row.

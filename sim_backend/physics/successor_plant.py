@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 
 # State row.
 SS_POS = 0  # m, world

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 
 GATE_OUTSIDE = 0.72  # m
 GATE_OPENING = 0.40  # m

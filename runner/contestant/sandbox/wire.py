@@ -119,9 +119,11 @@ def _decode_lsy(packet: bytes) -> LsyAnswer:
             raise ChannelError("a drawing that is cut off")
         kind, count, red, green, blue, alpha, width = _DRAWN.unpack_from(packet, at)
         at += _DRAWN.size
+        if at + 24 * count > len(packet):
+            raise ChannelError("a drawing that is cut off")
         points = np.frombuffer(packet[at : at + 24 * count], np.float64)
         numbers = (red, green, blue, alpha, width)
-        if len(points) != 3 * count or not np.isfinite([*points, *numbers]).all():
+        if not np.isfinite([*points, *numbers]).all():
             raise ChannelError("a drawing that is none")
         at += 24 * count
         name = "line" if kind == b"l" else "points"
