@@ -79,7 +79,7 @@ def _successor() -> None:
     level = load_lsy_level("lsy/level0")
     world = SuccessorWorld(level)
     world.reset(LsyRandom(level, nominal(level), 0).reset())
-    world.step(np.zeros(13 if level.env.control_mode == "state" else 4))
+    world.step(np.zeros(level.command_size))
 
 
 REFEREE = Part("referee", ("runner.judging.referee_kernel",), _referee)
@@ -88,7 +88,7 @@ COMPETITION = Part(
 )
 ARENA = Part("today's firmware and its vehicle", ("sim_backend.arena_kernel",), _arena)
 ESTIMATOR = Part("pose estimator", ("mocap.estimator_kernels",), _estimator)
-SUCCESSOR = Part("the successor's simulation", ("sim_backend.successor_kernel",), _successor)
+SUCCESSOR = Part("lsy_drone_racing's vehicle", ("sim_backend.successor_kernel",), _successor)
 PARTS = {
     "referee": REFEREE,
     "competition": COMPETITION,

@@ -8,15 +8,16 @@ its 32 random bits are both output words xor-ed, and key i of a split is both wo
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from crazyarena.jit import kernel
 
 _PARITY = np.uint32(0x1BD11BDA)
 _ROTATIONS = np.array([[13, 15, 26, 6], [17, 29, 16, 24]], np.uint32)
 _32 = np.uint32(32)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def threefry(k0, k1, x0, x1):
     """Twenty rounds over the counter (x0, x1) under the key (k0, k1); all uint32."""
     k0, k1, x0, x1 = np.uint32(k0), np.uint32(k1), np.uint32(x0), np.uint32(x1)
@@ -34,14 +35,14 @@ def threefry(k0, k1, x0, x1):
     return x0, x1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def split(key, out):
     """Fill ``out`` (n, 2) with the keys that ``key`` (2,) splits into."""
     for i in range(out.shape[0]):
         out[i, 0], out[i, 1] = threefry(key[0], key[1], np.uint32(0), np.uint32(i))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def bits(key, out):
     """Fill ``out`` (n,) with 32 random bits each."""
     for i in range(out.shape[0]):
@@ -49,7 +50,7 @@ def bits(key, out):
         out[i] = a ^ b
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(_nrt=True)
 def chain(key, out):
     """Bits of one array of ``out.shape[1]`` numbers a row; before each row ``key`` (2,) is split
     into itself and the row's key, as happens at every tick of a simulation."""

@@ -80,7 +80,7 @@ def load_lsy_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> L
     }
     tree = Node({**known.value, **extra}, "", root.source)
     tree.value["config"] = _Plain(known.plain(), "config", root.source)
-    level = validate(tree, LsyLevel)  # type: ignore[type-var]
+    level = validate(tree, LsyLevel)
     return level.model_copy(update={"warnings": tuple(_unknown(known, LsyLevel))})
 
 

@@ -70,6 +70,8 @@ def main(arguments: list[str]) -> None:
     limits_module.apply(limits_module.Limits(**json.loads(limits)), counted)
     faulthandler.enable()
 
+    from crazyarena.runner.contestant.contract_lsy.pilot import LsyPilot
+    from crazyarena.runner.contestant.contract_lsy.submission import LsySubmission
     from crazyarena.runner.contestant.in_process import Pilot
     from crazyarena.runner.contestant.sandbox import wire
     from crazyarena.runner.contestant.sandbox.confine import confine
@@ -88,7 +90,7 @@ def main(arguments: list[str]) -> None:
     socket.send_fds(channel, [wire.encode_text(wire.READY, json.dumps(report))], [own])
     os.close(own)
 
-    pilot: Pilot | None = None
+    pilot: Pilot | LsyPilot | None = None
     # A buffer for each message would be mapped and unmapped at each tick.
     buffer = memoryview(bytearray(_LONGEST))
     while True:
@@ -98,7 +100,10 @@ def main(arguments: list[str]) -> None:
         verb, payload = pickle.loads(buffer[:length])
         if verb == "load":
             try:
-                pilot = Pilot(Submission(copy, work))
+                if payload is None:
+                    pilot = Pilot(Submission(copy, work))
+                else:
+                    pilot = LsyPilot(LsySubmission(Path(copy), work, payload))
                 answer = wire.encode_text(wire.MADE, "")
             except BaseException as error:
                 answer = wire.encode_text(wire.FAILED, _told(error))
@@ -111,7 +116,10 @@ def main(arguments: list[str]) -> None:
                 answer = wire.encode_text(wire.FAILED, _told(error))
         elif verb == "ask":
             assert pilot is not None
-            answer = wire.encode_answer(pilot.answer(payload))
+            if isinstance(pilot, LsyPilot):
+                answer = wire.encode_lsy(pilot.ask(payload))
+            else:
+                answer = wire.encode_answer(pilot.answer(payload))
         else:
             assert pilot is not None
             seconds, trouble = pilot.hook(payload)

@@ -15,7 +15,7 @@ import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,8 +71,6 @@ class Sandboxed:
         self, submission: Path, limits: Limits | None = None, *, require: bool = False
     ) -> None:
         self.path = submission.expanduser().resolve()
-        self._shown = entry_file(self.path)
-        self.digest = submission_hash(self.path)
         self._limits = limits or Limits()
         self._step: int | None = None
         self._asked_at = 0.0
@@ -81,14 +79,25 @@ class Sandboxed:
         self._channel: socket.socket | None = None
         self._files: int | None = None
         self._quota: subprocess.Popen[str] | None = None
-        self._box = Box(self.path, self._limits.copy_size)
+        self._shown, self.digest, self._box = self._copied()
         try:
             self._start()
             self.description = self._await_ready(require)
-            self._request("load", None, self._limits.make_timeout, "importing the submission")
+            self._request(
+                "load", self._loading(), self._limits.make_timeout, "importing the submission"
+            )
         except BaseException:
             self.close()
             raise
+
+    def _copied(self) -> tuple[Path, str, Box]:
+        """File to name in messages, digest, and the box with a copy of the submission."""
+        shown = entry_file(self.path)
+        return shown, submission_hash(self.path), Box(self.path, self._limits.copy_size)
+
+    def _loading(self) -> object:
+        """What its process has to know to load it."""
+        return None
 
     @property
     def announcement(self) -> str:
@@ -138,10 +147,10 @@ class Sandboxed:
             if message.number == self._step:
                 self._step = None
                 return Answer(message.number, None, self._named(message.text), seconds)
-        elif isinstance(message, Answer) and message.step == self._step:
+        elif isinstance(message, Answer | wire.LsyAnswer) and message.step == self._step:
             self._step = None
             message.seconds = seconds
-            return message
+            return cast(Answer, message)  # a contract's own kind, which its subclass asks for
         self.kill()
         return self._failure("its process sent an answer that was not asked for")
 
@@ -293,7 +302,7 @@ class Sandboxed:
             "limits": limits,
         }
 
-    def _receive_ready(self) -> Answer | wire.Text | int | None:
+    def _receive_ready(self) -> wire.Message | None:
         """As :meth:`_receive`; its own folder comes along, before it runs foreign code."""
         assert self._channel is not None
         self._channel.settimeout(_START_TIMEOUT)
@@ -366,7 +375,7 @@ class Sandboxed:
         with contextlib.suppress(OSError):
             self._channel.send(pickle.dumps((verb, payload), protocol=5))
 
-    def _receive(self, timeout: float) -> Answer | wire.Text | int | None:
+    def _receive(self, timeout: float) -> wire.Message | None:
         assert self._channel is not None
         left = max(0.0, timeout)
         while True:
