@@ -42,7 +42,8 @@ def _serve(config: dict[str, Any]) -> None:
     from crazyarena.mocap.zenoh_link import ZenohPublisher
     from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
     from crazyarena.sim_backend.arena_kernel import DT
-    from crazyarena.sim_backend.arena_world import SENSOR_NOISE, Track, motions
+    from crazyarena.sim_backend.arena_world import SENSOR_NOISE, LinkModel, Track, motions
+    from crazyarena.sim_backend.crtp.faults import Faults
     from crazyarena.sim_backend.crtp.server import VirtualServer
     from crazyarena.sim_backend.crtp.swarm import Send, VirtualSwarm
     from crazyarena.sim_backend.physics.arena_plant import AP_CAPACITY
@@ -89,8 +90,16 @@ def _serve(config: dict[str, Any]) -> None:
     clock = WallClock()
     cameras = SimSource(clock, None, CameraModel(**config["cameras"]), for_cameras)
     publisher = ZenohPublisher(clock, listen=[config["endpoint"]])
+    # The air between the two takes as long as that of a dry run.
+    link = LinkModel()
     server = VirtualServer(
-        swarm, "127.0.0.1", config["port"], clock=clock, cameras=cameras, publisher=publisher
+        swarm,
+        "127.0.0.1",
+        config["port"],
+        faults=Faults(latency=link.latency + link.jitter, jitter=link.jitter),
+        clock=clock,
+        cameras=cameras,
+        publisher=publisher,
     )
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: server.stop())

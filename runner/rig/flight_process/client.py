@@ -30,6 +30,8 @@ from crazyarena.runner.timing.wakeup import StampedClock
 from crazyarena.safety.events import SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import Limits
+from crazyarena.sim_backend.vehicles import Vehicle, load_vehicle
+from crazyarena.sim_backend.vehicles.rows import told_params
 from crazyarena.types import Pose, PoseFrame, Telemetry
 
 # How long before a deadline the clock turns to nothing else, s.
@@ -273,6 +275,7 @@ def connected(
     limits: Limits | None = None,
     real_time: bool = True,
     description: dict[str, object] | None = None,
+    model: Vehicle | None = None,
 ) -> Rig:
     """Start a flight process that connects to a vehicle and a camera system.
 
@@ -281,6 +284,7 @@ def connected(
     uri: link of the vehicle, as cflib opens it.
     vehicle, body: id and name of the vehicle; the name is ``cf<id>`` by default.
     real_time: ask for real-time scheduling and locked memory there.
+    model: what vehicle it is, the default one if not given: its parameters are written.
 
     Raises
     ------
@@ -290,7 +294,17 @@ def connected(
     body = body or f"cf{vehicle}"
     origin = WallClock().origin
     process = FlightProcess(
-        HardwareSetup(level, uri, source, vehicle, body, origin, limits, real_time)
+        HardwareSetup(
+            level,
+            uri,
+            source,
+            vehicle,
+            body,
+            origin,
+            limits,
+            real_time,
+            told_params(load_vehicle() if model is None else model),
+        )
     )
     try:
         # Both are compiled, while the other process connects.
