@@ -40,7 +40,8 @@ class VehicleConfig:
 
     initial_position m, world; firmware_params ``group.name`` -> value with the precedence of
     the file format already applied; ``tracking`` is ``"vendor"`` or ``"librigidbodytracker"``
-    where the file says so; marker and dynamics name the tracker's configurations.
+    where the file says so; ``vehicle`` is the name or file of the model that simulations fly;
+    marker and dynamics name the tracker's configurations.
     """
 
     id: int
@@ -57,6 +58,7 @@ class VehicleConfig:
     battery_warning: float = 3.8
     battery_critical: float = 3.7
     reference_frame: str = "world"
+    vehicle: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,6 +233,19 @@ def _params(node: Node) -> dict[str, float]:
     }
 
 
+def _vehicle(*nodes: Node) -> str | None:
+    """Model of a simulated vehicle, from the first of some nodes that names one; a file lies
+    beside the vehicle list."""
+    for node in nodes:
+        named = node.get("vehicle")
+        if named.absent:
+            continue
+        name = named.text()
+        beside = Path(node.source).parent / name
+        return str(beside) if name.endswith((".yaml", ".yml")) and beside.is_file() else name
+    return None
+
+
 def _unique_ids(vehicles: Sequence[VehicleConfig], nodes: Sequence[Node]) -> None:
     seen: dict[int, str] = {}
     for vehicle, node in zip(vehicles, nodes, strict=True):
@@ -300,6 +315,7 @@ def load_crazyflies_1(
                 big_quad=entry.big_quad if entry else False,
                 battery_warning=entry.battery_warning if entry else 3.8,
                 battery_critical=entry.battery_critical if entry else 3.7,
+                vehicle=_vehicle(node, document),
             )
         )
     _unique_ids(vehicles, nodes)
@@ -423,6 +439,7 @@ def load_crazyflies_2(given: str | os.PathLike[str]) -> FleetConfig:
                 battery_warning=battery.get("voltage_warning").number(3.8),
                 battery_critical=battery.get("voltage_critical").number(3.7),
                 reference_frame=frame,
+                vehicle=_vehicle(node, kind, common, document),
             )
         )
         nodes.append(node)

@@ -67,6 +67,19 @@ def build_argparser(
         action="store_true",
         help="[sim] let vehicles push down on those below them (not with --backend ideal)",
     )
+    parser.add_argument(
+        "--vehicle",
+        metavar="NAME|FILE",
+        help="[sim] vehicle model of every vehicle, e.g. cf21plus or a file, instead of those of "
+        "the vehicle list (not with --backend ideal)",
+    )
+    parser.add_argument(
+        "--vehicle-set",
+        metavar="FIELD=VALUE",
+        action="append",
+        default=[],
+        help="[sim] override a field of the vehicle model, e.g. body.mass=0.035 (repeatable)",
+    )
     parser.add_argument("--video", metavar="PATH", help="[sim] write a film of the viewer")
     parser.add_argument(
         "--crazyflies-yaml", "--crazyflies_yaml", metavar="PATH", help="vehicle list to use"

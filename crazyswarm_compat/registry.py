@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, Protocol, runtime_checkable
@@ -26,13 +27,15 @@ class SimOptions:
     """What a script may change while a simulation runs.
 
     disturbance: standard deviation of the velocity noise, m/s; max_velocity: clamp on the
-    speed, m/s. downwash, whether vehicles push down on those below them, is settled when a
-    backend opens.
+    speed, m/s. Settled when a backend opens: downwash, whether vehicles push down on those below
+    them; vehicle, the model of all of them, and vehicle_set, fields of it that differ.
     """
 
     disturbance: float = 0.0
     max_velocity: float = math.inf
     downwash: bool = False
+    vehicle: str | None = None
+    vehicle_set: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -249,8 +249,14 @@ def make_time_helper(parsed: Any, vis: Any, kind: type[TimeHelper]) -> TimeHelpe
         ):
             if given:
                 warn(f"--{flag} only acts on --backend ideal, not on {parsed.backend}")
-    elif parsed.downwash:
-        warn("--downwash: perfect tracking knows no forces; it needs --backend sim or pybullet")
+    else:
+        given = {
+            "--downwash": parsed.downwash,
+            "--vehicle": parsed.vehicle is not None,
+            "--vehicle-set": bool(parsed.vehicle_set),
+        }
+        for flag in (flag for flag, is_given in given.items() if is_given):
+            warn(f"{flag}: perfect tracking knows no forces; it needs --backend sim or pybullet")
     helper = kind(
         vis,
         parsed.dt,
@@ -260,4 +266,6 @@ def make_time_helper(parsed: Any, vis: Any, kind: type[TimeHelper]) -> TimeHelpe
         videopath=parsed.video,
     )
     helper.options.downwash = parsed.downwash
+    helper.options.vehicle = parsed.vehicle
+    helper.options.vehicle_set = tuple(parsed.vehicle_set)
     return helper

@@ -84,7 +84,13 @@ def _read(name_or_path: str | Path) -> tuple[Path, Node]:
 
 def dump_level(level: Level) -> str:
     """YAML text of a level with every field written out; loads back as an equal level."""
-    return yaml.safe_dump(level.model_dump(mode="json"), sort_keys=False, default_flow_style=None)
+    data = level.model_dump(mode="json")
+    if level.vehicle.model is None:
+        # As levels without a model were always written: recordings hold this text.
+        for name in ("model", "spread"):
+            if not data["vehicle"][name]:
+                del data["vehicle"][name]
+    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None)
 
 
 def _existing(text: str) -> Path:

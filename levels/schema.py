@@ -9,7 +9,7 @@ inside the arena, and no random draw can make mass or inertia negative.
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
@@ -127,8 +127,16 @@ class Goal(Model):
 
 
 class Vehicle(Model):
-    """Nominal inertial properties; what the contestant is told."""
+    """Which vehicle flies, and its nominal inertial properties; what the contestant is told.
 
+    A bare name or file stands for ``model``. In the arena profile what is not given is the
+    model's; the competition profile has a vehicle of its own and takes no model.
+    """
+
+    model: Annotated[str, Field(min_length=1, max_length=1000)] | None = None
+    """Name or file of a vehicle model (docs/fidelity.md); the default vehicle if absent."""
+    spread: Flag = False
+    """Simulations draw a vehicle from the spread of the model for every episode."""
     mass: Annotated[Number, Field(gt=0.0, le=1.0)] = 0.03454
     """kg"""
     ixx: Annotated[Number, Field(gt=0.0, le=0.01)] = 1.4e-5
@@ -137,6 +145,11 @@ class Vehicle(Model):
     """kg m^2"""
     izz: Annotated[Number, Field(gt=0.0, le=0.01)] = 2.17e-5
     """kg m^2"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named(cls, data: Any) -> Any:
+        return {"model": data} if isinstance(data, str) else data
 
 
 class Constraints(Model):
@@ -242,6 +255,15 @@ class Level(Model):
             raise invalid(
                 "needs profile: arena; the competition's simulation has no cameras",
                 f"track.gates.{self.track.tracked[0]}.tracked",
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _models_fly_in_the_arena(self) -> Self:
+        if self.profile is Profile.COMPETITION and self.vehicle.model is not None:
+            raise invalid(
+                "needs profile: arena; the competition's simulation has a vehicle of its own",
+                "vehicle.model",
             )
         return self
 

@@ -26,6 +26,7 @@ from crazyarena.runner.rig.stops import StopOptions
 from crazyarena.runner.rig.virtual_arena import VirtualArena
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.safety.limits import Limits
+from crazyarena.sim_backend.vehicles import VehicleChoice
 
 
 @dataclass
@@ -52,6 +53,7 @@ class Bench:
     dry: fly the dry runs and compare.
     stops: what stops the flights in real time besides the watchdog.
     waive: lines of the pre-flight checklist that must not ground those.
+    vehicle, spread: as for :class:`~crazyarena.runner.dry_run.DryRun`; both sides fly the same.
     """
 
     def __init__(
@@ -70,6 +72,8 @@ class Bench:
         console: Console | None = None,
         stops: StopOptions | None = None,
         waive: Sequence[str] = (),
+        vehicle: VehicleChoice | None = None,
+        spread: bool | None = None,
     ) -> None:
         self._submission = submission
         self._level = level
@@ -87,6 +91,8 @@ class Bench:
             "options": options,
             "figure": figure,
             "console": self._console,
+            "vehicle": vehicle,
+            "spread": spread,
         }
 
     def run(self) -> BenchResult:
@@ -119,7 +125,7 @@ class Bench:
         arenas: list[VirtualArena] = []
 
         def open_rig(level: Level, limits: Limits) -> Rig:
-            arena = VirtualArena(level, seed, folder)
+            arena = VirtualArena(level, seed, folder, supply=fly.supply)
             arenas.append(arena)
             try:
                 rig = connected(
@@ -129,6 +135,7 @@ class Bench:
                     limits=limits,
                     real_time=self._real_time,
                     description={"mocap": f"zenoh {arena.endpoint}", "world": "bench"},
+                    model=fly.model,
                 )
             except BaseException:
                 arena.close()

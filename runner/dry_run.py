@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from crazyarena.runner.trial.phases import Crew
     from crazyarena.runner.trial.tracked_world import TrackedWorld
     from crazyarena.safety.limits import Limits
+    from crazyarena.sim_backend.vehicles import Vehicle, VehicleChoice, VehicleSupply
 
     Track = Draw | MeasuredTrack
 
@@ -51,9 +52,11 @@ def example_racer() -> Path:
     raise InputError("the example racer is not part of this installation. Pass a submission")
 
 
-def make_world(level: Level, seed: int, limits: Limits | None = None) -> World:
+def make_world(
+    level: Level, seed: int, limits: Limits | None = None, supply: VehicleSupply | None = None
+) -> World:
     """Return the simulated world of a level's profile; ``seed`` is that of its noise, ``limits``
-    those of its watchdog."""
+    those of its watchdog, ``supply`` of the vehicles of an arena."""
     if level.profile is Profile.COMPETITION:
         from crazyarena.sim_backend.competition import CompetitionWorld
 
@@ -61,7 +64,7 @@ def make_world(level: Level, seed: int, limits: Limits | None = None) -> World:
     from crazyarena.runner.rig.rig import simulated
     from crazyarena.runner.trial.tracked_world import TrackedWorld
 
-    return TrackedWorld(simulated(level, seed, limits=limits))
+    return TrackedWorld(simulated(level, seed, limits=limits, supply=supply))
 
 
 def _results_folder(out: Path | None, submission: Path, level: Level) -> Path:
@@ -101,6 +104,8 @@ class DryRun:
     """One call of the command; arguments as there.
 
     noise_seed: of the rig's measurement noise; that of the level's draws by default.
+    vehicle: which vehicle flies, on arena levels; that of the level by default.
+    spread: whether a vehicle is drawn from the spread of the model; as the level says by default.
     """
 
     def __init__(
@@ -116,8 +121,12 @@ class DryRun:
         console: Console | None = None,
         options: FlightOptions | None = None,
         noise_seed: int | None = None,
+        vehicle: VehicleChoice | None = None,
+        spread: bool | None = None,
     ) -> None:
         self._level = load_level(level, overrides)
+        self._vehicle: Vehicle | None = None
+        self._choose(vehicle, spread)
         self._options = options or FlightOptions()
         self._options.check()
         self._noise_seed = noise_seed
@@ -132,6 +141,35 @@ class DryRun:
         self._console = console if console is not None else Console()
         self._drawings: list[tuple[Any, ...]] = []
         self._preflight: FlightChecklist | None = None
+
+    def _choose(self, choice: VehicleChoice | None, spread: bool | None) -> None:
+        """Settle the vehicle of an arena level, and what the level says of it."""
+        level = self._level
+        if level.profile is Profile.COMPETITION:
+            if (choice is not None and (choice.name or choice.overrides)) or spread is not None:
+                raise InputError(
+                    f"--vehicle: level {level.name} runs in the competition's simulation, which "
+                    "has a vehicle of its own. Add --set profile=arena"
+                )
+            return
+        from crazyarena.sim_backend.vehicles import VehicleChoice, resolve
+
+        self._level, self._vehicle = resolve(level, choice or VehicleChoice())
+        self._spread = level.vehicle.spread if spread is None else spread
+
+    @property
+    def model(self) -> Vehicle | None:
+        """The vehicle of an arena level."""
+        return self._vehicle
+
+    @property
+    def supply(self) -> VehicleSupply | None:
+        """The vehicles of a new rig; the first depends on the seed alone."""
+        if self._vehicle is None:
+            return None
+        from crazyarena.sim_backend.vehicles import VehicleSupply
+
+        return VehicleSupply(self._vehicle, self._seed if self._spread else None)
 
     def run(self) -> TrialResult:
         """Fly, report, write ``result.json``; returns the result."""
@@ -173,7 +211,7 @@ class DryRun:
 
     def _make_world(self) -> World:
         seed = self._seed if self._noise_seed is None else self._noise_seed
-        return make_world(self._level, seed, self._limits())
+        return make_world(self._level, seed, self._limits(), self.supply)
 
     def _limits(self) -> Limits:
         """Of the watchdog."""
@@ -243,6 +281,10 @@ class DryRun:
 
         assert isinstance(world, TrackedWorld)
         origin["rig"] = world.rig.description
+        if self._vehicle is not None:
+            from crazyarena.sim_backend.vehicles import dump_vehicle
+
+            origin["vehicle_file"] = dump_vehicle(self._vehicle)
         crew = self._crew(world)
         return ArenaStaging(
             crew,

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.checks import check
+from crazyarena.mocap.rotations import rotate
 from crazyarena.sim_backend.arena_commands import execute
 from crazyarena.sim_backend.arena_kernel import (
     CONTACT_PAUSE,
@@ -439,6 +440,19 @@ class ArenaFleet:
         """Position and attitude of :meth:`true_state`."""
         body = self.bodies[vehicle]
         return Pose(body[cs.B_POS : cs.B_POS + 3].copy(), body[cs.B_QUAT : cs.B_QUAT + 4].copy())
+
+    def tracked_pose(self, vehicle: int) -> Pose:
+        """Where a perfect camera system has the body that it follows: its origin may lie off the
+        centre of mass, see ``markers`` of a vehicle model."""
+        pose, offset = self.true_pose(vehicle), self.models[vehicle].offset
+        if not offset.any():
+            return pose
+        return Pose(pose.position + rotate(pose.quaternion, offset), pose.quaternion)
+
+    def fit(self, vehicle: int, model: Rows) -> None:
+        """Make a vehicle one of another model; :meth:`place` and :meth:`reboot` it then."""
+        self.models[vehicle] = model
+        self.plants[vehicle] = model.plant
 
     def supervisor_info(self, vehicle: int) -> int:
         """Bit field of ``supervisor.info``."""

@@ -23,12 +23,19 @@ from crazyarena.crazyswarm_compat.checks import check
 from crazyarena.errors import CommandError, InputError
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import GateMotion, Level
+from crazyarena.levels.schema import Vehicle as NominalVehicle
 from crazyarena.mocap.camera_model import CameraModel
 from crazyarena.mocap.sim_source import SimSource
 from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
 from crazyarena.sim_backend.arena_kernel import DT
 from crazyarena.sim_backend.physics.competition_step import PLANT_SIZE
 from crazyarena.sim_backend.physics.scene import build_scene, fill_scene
+from crazyarena.sim_backend.vehicles import (
+    Rows,
+    VehicleSupply,
+    load_vehicle,
+    vehicle_rows,
+)
 from crazyarena.types import Pose, Telemetry
 
 Array = NDArray[np.float64]
@@ -36,8 +43,6 @@ Array = NDArray[np.float64]
 _STREAMED = (
     c.FullState, c.Position, c.VelocityWorld, c.Hover, c.Attitude, c.CutMotors,
 )  # fmt: skip
-# Of a BMI088 at rest, as the estimator sees it.
-SENSOR_NOISE = SensorNoise(gyro=0.1, accelerometer=0.003)
 _RETRY = 0.01  # s, until a lost request is sent again
 _SWITCHED_ON = 0.04  # s, period of the firmware's slowest part, the supervisor
 
@@ -223,6 +228,12 @@ class Track:
         return self._bodies
 
 
+def sensor_noise(rows: Rows) -> SensorNoise:
+    """Noise of a vehicle's inertial sensors."""
+    gyro, accelerometer = rows.noise
+    return SensorNoise(gyro=gyro, accelerometer=accelerometer)
+
+
 def motions(level: Level) -> tuple[GateMotion | None, ...]:
     """How the gates of a level move."""
     return tuple(gate.motion for gate in level.track.gates)
@@ -237,6 +248,10 @@ class SimulatedArena:
         sensors, moment at which the vehicle is switched on.
     vehicle: id of the vehicle; its body is called ``cf<id>``.
     motions: of the gates, where they move.
+    supply: the vehicles that fly, one a :meth:`stage`; the default vehicle if not given.
+    nominal: what a draw's mass (kg) and inertia (kg m2) are offsets from: the numbers of the
+        level that is drawn from.
+    noise: instead of the vehicle's own.
     """
 
     def __init__(
@@ -248,17 +263,24 @@ class SimulatedArena:
         link: LinkModel | None = None,
         noise: SensorNoise | None = None,
         motions: Sequence[GateMotion | None] = (),
+        supply: VehicleSupply | None = None,
+        nominal: NominalVehicle | None = None,
     ) -> None:
         for_link, for_cameras, for_sensors, self._for_moments = rng.spawn(4)
         self.clock = VirtualClock()
         self.vehicle = vehicle
         self.body = f"cf{vehicle}"
+        self._supply = supply or VehicleSupply(load_vehicle())
+        first = vehicle_rows(self._supply.vehicle)
         self.fleet = ArenaFleet(
             np.zeros((1, 3)),
             ids=(vehicle,),
-            noise=noise or SENSOR_NOISE,
+            vehicles=first,
+            noise=noise or sensor_noise(first),
             rng=for_sensors,
         )
+        nominal = nominal or NominalVehicle()
+        self._nominal = np.array((nominal.mass, nominal.ixx, nominal.iyy, nominal.izz))
         self.link = SimulatedLink(self.fleet, self.clock, link or LinkModel(), for_link)
         self.source = SimSource(self.clock, None, cameras, for_cameras)
         self._motions = motions
@@ -278,7 +300,9 @@ class SimulatedArena:
         self._track = Track(draw, self._motions)
         self._staged = self.fleet.time
         self.fleet.set_scene(self._track.scene(0.0))
-        self.fleet.plants[0, :PLANT_SIZE] = (draw.mass, *draw.inertia)
+        model = vehicle_rows(self._supply.next())
+        model.plant[:PLANT_SIZE] += np.array((draw.mass, *draw.inertia)) - self._nominal
+        self.fleet.fit(0, model)
         self.fleet.place(0, (x, y, 0.0), float(yaw))
         self.fleet.reboot(0)
         self.link.reset()
@@ -293,7 +317,7 @@ class SimulatedArena:
             fleet.advance(ticks)
         self.link.deliver(now)
         while self.source.next_exposure <= now:
-            truth = {self.body: fleet.true_pose(0)}
+            truth = {self.body: fleet.tracked_pose(0)}
             if track is not None:
                 truth |= track.bodies(fleet.time - self._staged)
             self.source.expose(self.source.next_exposure, truth)

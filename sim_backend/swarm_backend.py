@@ -35,6 +35,12 @@ from crazyarena.sim_backend.physics.competition_step import (
 )
 from crazyarena.sim_backend.physics.rigid_body import FULL_PLANT_SIZE
 from crazyarena.sim_backend.stored_trajectories import StoredTrajectories
+from crazyarena.sim_backend.vehicles import (
+    DEFAULT_VEHICLE,
+    Rows,
+    load_vehicle,
+    vehicle_rows,
+)
 from crazyarena.types import Pose, Telemetry, VehicleContact
 
 _POSE_TICKS = 10  # ms between motion-capture frames
@@ -55,7 +61,7 @@ class ArenaBackend:
     Parameters
     ----------
     make_fleet: builds the vehicles; called like :class:`.arena.ArenaFleet`.
-    downwash: True lets vehicles push down on those below them.
+    options: downwash, and the vehicle model instead of those of the fleet.
     """
 
     def __init__(
@@ -63,15 +69,17 @@ class ArenaBackend:
         fleet: FleetConfig,
         clock: VirtualClock,
         make_fleet: Callable[..., ArenaFleet] = ArenaFleet,
-        downwash: bool = False,
+        options: SimOptions | None = None,
     ) -> None:
+        options = options or SimOptions()
         self._names = {config.id: config.name for config in fleet.vehicles}
         self._index = {config.id: index for index, config in enumerate(fleet.vehicles)}
         self._fleet = make_fleet(
             np.array([config.initial_position for config in fleet.vehicles]),
             ids=[config.id for config in fleet.vehicles],
             threads=min(os.cpu_count() or 1, len(fleet.vehicles) // _VEHICLES_PER_THREAD),
-            downwash=downwash,
+            downwash=options.downwash,
+            vehicles=_models(fleet, options),
         )
         self._stored = [StoredTrajectories(config.name) for config in fleet.vehicles]
         self._told = 0
@@ -190,11 +198,17 @@ class PyBulletFleet(ArenaFleet):
     """``arena`` vehicles whose bodies PyBullet moves; rotors and battery stay compiled."""
 
     def __init__(
-        self, positions: np.ndarray, *, ids: Sequence[int], threads: int = 1, downwash: bool = False
+        self,
+        positions: np.ndarray,
+        *,
+        ids: Sequence[int],
+        threads: int = 1,
+        downwash: bool = False,
+        vehicles: Sequence[Rows] | None = None,
     ) -> None:
         from crazyarena.sim_backend.physics.pybullet_engine import PyBulletEngine
 
-        super().__init__(positions, ids=ids, threads=threads)
+        super().__init__(positions, ids=ids, threads=threads, vehicles=vehicles)
         self._engine = PyBulletEngine(self.plants[:, :FULL_PLANT_SIZE], dt=DT, wakes=downwash)
         self._engine.reset(self.bodies[:, B_POS : B_POS + 3])
 
@@ -218,14 +232,26 @@ class PyBulletFleet(ArenaFleet):
         self._engine.close()
 
 
+def _models(fleet: FleetConfig, options: SimOptions) -> list[Rows]:
+    """Rows of every vehicle; equal models are read once."""
+    read: dict[str, Rows] = {}
+    models = []
+    for config in fleet.vehicles:
+        name = options.vehicle or config.vehicle or DEFAULT_VEHICLE
+        if name not in read:
+            read[name] = vehicle_rows(load_vehicle(name, options.vehicle_set))
+        models.append(read[name])
+    return models
+
+
 def open_arena(fleet: FleetConfig, clock: Clock, options: SimOptions) -> ArenaBackend:
     """Factory of backend ``sim``, named in the registry of backends."""
-    return ArenaBackend(fleet, _virtual(clock, "sim"), downwash=options.downwash)
+    return ArenaBackend(fleet, _virtual(clock, "sim"), options=options)
 
 
 def open_pybullet(fleet: FleetConfig, clock: Clock, options: SimOptions) -> ArenaBackend:
     """Factory of backend ``pybullet``, named in the registry of backends."""
-    return ArenaBackend(fleet, _virtual(clock, "pybullet"), PyBulletFleet, options.downwash)
+    return ArenaBackend(fleet, _virtual(clock, "pybullet"), PyBulletFleet, options)
 
 
 def _virtual(clock: Clock, name: str) -> VirtualClock:

@@ -21,17 +21,19 @@ from crazyarena.runner.cli.common import (
 from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.stops import Waive, flight_stops
+from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 
 if TYPE_CHECKING:
     from crazyarena.runner.rig.stops import StopOptions
     from crazyarena.runner.trial.options import FlightOptions
+    from crazyarena.sim_backend.vehicles import VehicleChoice
 
 
 def register(app: typer.Typer) -> None:
     app.command("bench")(bench)
 
 
-@takes(options=flight_options, stops=flight_stops)
+@takes(vehicle=vehicle_choice, options=flight_options, stops=flight_stops)
 def bench(
     submission: AnySubmission = None,
     level: ArenaLevel = "sim2real",
@@ -43,6 +45,8 @@ def bench(
         bool, typer.Option("--dry/--no-dry", help="Fly the dry runs too, and compare.")
     ] = True,
     *,
+    vehicle: VehicleChoice,
+    vehicle_spread: VehicleSpread = None,
     options: FlightOptions,
     real_time: Annotated[
         bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
@@ -84,6 +88,8 @@ def bench(
             console=console,
             waive=waive or (),
             stops=stops("bench"),
+            vehicle=vehicle,
+            spread=vehicle_spread,
         ).run()
         if result.comparison is not None:
             console.print(comparing.table(result.comparison))

@@ -14,16 +14,18 @@ from crazyarena.runner.cli.common import (
 )
 from crazyarena.runner.cli.options.flight import Sandbox, flight_options
 from crazyarena.runner.cli.options.groups import takes
+from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 
 if TYPE_CHECKING:
     from crazyarena.runner.trial.options import FlightOptions
+    from crazyarena.sim_backend.vehicles import VehicleChoice
 
 
 def register(app: typer.Typer) -> None:
     app.command("dry-run")(dry_run)
 
 
-@takes(options=flight_options)
+@takes(vehicle=vehicle_choice, options=flight_options)
 def dry_run(
     submission: Annotated[
         Path | None,
@@ -47,6 +49,8 @@ def dry_run(
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode.")] = True,
     figure: Annotated[bool, typer.Option(help="Write a PNG an episode.")] = True,
     *,
+    vehicle: VehicleChoice,
+    vehicle_spread: VehicleSpread = None,
     options: FlightOptions,
     sandbox: Sandbox = None,
 ) -> None:
@@ -68,6 +72,8 @@ def dry_run(
             record=record,
             figure=figure,
             options=replace(options, sandbox=sandbox),
+            vehicle=vehicle,
+            spread=vehicle_spread,
         )
         result = run.run()
     if not result.clean:

@@ -21,6 +21,7 @@ from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import HOST_HELP, OPTION_HELP, SOURCE_HELP
 from crazyarena.runner.cli.options.stops import Waive, flight_stops
+from crazyarena.runner.cli.options.vehicle import VehicleSet, VehicleSpread
 
 if TYPE_CHECKING:
     from crazyarena.runner.rig.stops import StopOptions
@@ -49,7 +50,17 @@ def fly(
         str | None,
         typer.Option(help="Vehicle's link: radio://0/80/2M/E7E7E7E701, usb://0, udp://HOST:PORT."),
     ] = None,
-    vehicle: Annotated[int, typer.Option(min=0, max=255, help="Id of the vehicle.")] = 1,
+    ident: Annotated[int, typer.Option("--id", min=0, max=255, help="Id of the vehicle.")] = 1,
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Model of the vehicle, for dry runs and the record: a shipped name or a file. "
+            "(A whole number is taken for --id.)",
+        ),
+    ] = None,
+    vehicle_set: VehicleSet = None,
+    vehicle_spread: VehicleSpread = None,
     body: Annotated[
         str | None, typer.Option(help="Its name in the camera system. Default: cf<id>.")
     ] = None,
@@ -93,7 +104,12 @@ def fly(
         from crazyarena.runner.rig.rig import Rig, simulated
         from crazyarena.runner.trial.checklist import check_waivers
         from crazyarena.safety.limits import Limits
+        from crazyarena.sim_backend.vehicles import VehicleChoice
 
+        if vehicle is not None and vehicle.isdecimal():
+            ident, vehicle = int(vehicle), None
+            if ident > 255:
+                raise InputError(f"--vehicle: found {ident}; ids are 0 to 255")
         real = backend is BackendChoice.RADIO
         if real and (uri is None or mocap is None):
             raise InputError(
@@ -101,7 +117,7 @@ def fly(
                 "radio://0/80/2M/E7E7E7E701 --mocap vicon --mocap-host 192.168.1.5)"
             )
 
-        name = body or f"cf{vehicle}"
+        name = body or f"cf{ident}"
         check_waivers(waive or (), name)
         stopped_by = stops(name)
         if not real:
@@ -112,7 +128,8 @@ def fly(
 
         def open_rig(loaded: Level, limits: Limits) -> Rig:
             if not real:
-                return simulated(loaded, loaded.seed if seed is None else seed, limits=limits)
+                flight_seed = loaded.seed if seed is None else seed
+                return simulated(loaded, flight_seed, limits=limits, supply=run.supply)
             from crazyarena.runner.rig.flight_process.client import connected
 
             assert uri is not None
@@ -122,11 +139,12 @@ def fly(
                 loaded,
                 uri,
                 named_source(kind, mocap_host, mocap_option or []),
-                vehicle=vehicle,
+                vehicle=ident,
                 body=body,
                 limits=limits,
                 real_time=real_time,
                 description={"mocap": kind, "mocap_host": mocap_host, "world": "arena"},
+                model=run.model,
             )
 
         run = Fly(
@@ -147,6 +165,8 @@ def fly(
             stops=stopped_by,
             waive=waive or (),
             uri=uri if real else None,
+            vehicle=VehicleChoice(vehicle, tuple(vehicle_set or ())),
+            spread=vehicle_spread,
         )
         result = run.run()
     if not result.clean:

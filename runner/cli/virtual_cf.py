@@ -7,12 +7,17 @@ import os
 import signal
 import sys
 import threading
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from crazyarena.errors import CrazyarenaError, InputError
 from crazyarena.runner.cli.common import bad_input_exits
+from crazyarena.runner.cli.options.groups import takes
+from crazyarena.runner.cli.options.vehicle import vehicle_choice
+
+if TYPE_CHECKING:
+    from crazyarena.sim_backend.vehicles import VehicleChoice
 
 _PROFILES = ("arena",)
 
@@ -21,6 +26,7 @@ def register(app: typer.Typer) -> None:
     app.command("virtual-cf")(virtual_cf)
 
 
+@takes(vehicle=vehicle_choice)
 def virtual_cf(
     count: Annotated[int, typer.Option(help="How many vehicles.")] = 1,
     port: Annotated[int, typer.Option(help="UDP port of the first; 0 takes free ones.")] = 19850,
@@ -28,6 +34,8 @@ def virtual_cf(
     level: Annotated[
         str | None, typer.Option(help="Level whose gates, obstacles and start to use.")
     ] = None,
+    *,
+    vehicle: VehicleChoice,
     profile: Annotated[str, typer.Option(help="Simulated firmware: arena.")] = "arena",
     loss: Annotated[
         str | None, typer.Option(metavar="SHARE", help="Lost packets each way, e.g. 5%.")
@@ -92,6 +100,7 @@ def virtual_cf(
                 host=host,
                 port=port,
                 level=level,
+                vehicle=vehicle,
                 loss=loss,
                 latency=latency,
                 battery=battery,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from crazyarena.mocap.source import PoseSource
 from crazyarena.runner.rig.safeguard import Safeguard
 from crazyarena.runner.rig.watch import Guard
 from crazyarena.safety.limits import Limits
+
+if TYPE_CHECKING:
+    from crazyarena.sim_backend.vehicles import VehicleSupply
 
 # Children of the trial's seed, so that the level's own draws stay what the seed says.
 _RIG_STREAM = 0x51
@@ -113,12 +117,25 @@ def simulated(
     cameras: CameraModel | None = None,
     limits: Limits | None = None,
     guarded: bool = True,
+    supply: VehicleSupply | None = None,
 ) -> Rig:
-    """The rig of a dry run: everything in this process, in virtual time."""
+    """The rig of a dry run: everything in this process, in virtual time.
+
+    ``supply`` is of the vehicles that fly; that of the level if not given.
+    """
     from crazyarena.sim_backend.arena_world import SimulatedArena, motions
+    from crazyarena.sim_backend.vehicles import level_supply
 
     rng = np.random.default_rng([seed, _RIG_STREAM])
-    arena = SimulatedArena(rng, cameras=cameras, motions=motions(level))
+    if supply is None:
+        supply = level_supply(level, seed)
+    arena = SimulatedArena(
+        rng,
+        cameras=cameras,
+        motions=motions(level),
+        supply=supply,
+        nominal=level.vehicle,
+    )
     safeguard = None
     backend: Backend = arena.link
     if guarded:
@@ -152,10 +169,13 @@ def simulated(
 
     def stage(draw: Draw) -> None:
         arena.stage(draw)
+        if supply.spread:
+            flown.append(supply.told())
         # The vehicle was carried: where it was says nothing of where it is.
         pipeline.estimator.reset(arena.body)
 
     model = arena.source.model
+    flown: list[dict[str, object]] = []
     return Rig(
         arena.clock,
         backend,
@@ -167,6 +187,8 @@ def simulated(
         safeguard,
         {
             "backend": "sim",
+            "vehicle": supply.vehicle.name,
+            "vehicles": flown,
             "mocap": "sim",
             "mocap_rate": model.rate,
             "mocap_latency": model.latency,

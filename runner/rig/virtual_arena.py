@@ -1,7 +1,8 @@
 """A whole arena in a process of its own: a virtual Crazyflie on UDP and cameras on zenoh.
 
 ``python -m crazyarena.runner.rig.virtual_arena CONFIG`` with a JSON object: level_file (path),
-seed, vehicle, port, endpoint, cameras (fields of CameraModel), battery (times the usual capacity).
+seed, vehicle (id), vehicle_file, port, endpoint, cameras (fields of CameraModel), battery (times
+the usual capacity).
 Prints one line of JSON with ``uri`` once it runs, and on SIGTERM one with how it kept up, then
 ends; also 20 s after its standard input was closed.
 """
@@ -20,7 +21,7 @@ import threading
 import time
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,6 +33,9 @@ from crazyarena.levels.schema import Level
 from crazyarena.runner.timing.realtime import SERVING, lock_memory, lower_priority, raise_priority
 from crazyarena.types import Pose
 
+if TYPE_CHECKING:
+    from crazyarena.sim_backend.vehicles import VehicleSupply
+
 _START_TIMEOUT = 300.0  # s; the first run compiles
 _AFTER_RUNNER = 20.0  # s
 
@@ -40,14 +44,15 @@ def _serve(config: dict[str, Any]) -> None:
     from crazyarena.mocap.camera_model import CameraModel
     from crazyarena.mocap.sim_source import SimSource
     from crazyarena.mocap.zenoh_link import ZenohPublisher
-    from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
+    from crazyarena.sim_backend.arena import ArenaFleet
     from crazyarena.sim_backend.arena_kernel import DT
-    from crazyarena.sim_backend.arena_world import SENSOR_NOISE, LinkModel, Track, motions
+    from crazyarena.sim_backend.arena_world import LinkModel, Track, motions, sensor_noise
     from crazyarena.sim_backend.crtp.faults import Faults
     from crazyarena.sim_backend.crtp.server import VirtualServer
     from crazyarena.sim_backend.crtp.swarm import Send, VirtualSwarm
     from crazyarena.sim_backend.physics.arena_plant import AP_CAPACITY
     from crazyarena.sim_backend.physics.competition_step import PLANT_SIZE
+    from crazyarena.sim_backend.vehicles import load_vehicle, vehicle_rows
 
     class Swarm(VirtualSwarm):
         """Vehicles among the gates and obstacles that the cameras see as well."""
@@ -68,16 +73,23 @@ def _serve(config: dict[str, Any]) -> None:
     track = Track(draw, motions(level))
     # Not the numbers of the dry run: measurement noise never repeats in an arena either.
     for_cameras, for_sensors = np.random.default_rng([config["seed"], os.getpid()]).spawn(2)
-    noise: SensorNoise = SENSOR_NOISE
+    model = vehicle_rows(load_vehicle(config["vehicle_file"]))
+    nominal = level.vehicle
+    model.plant[:PLANT_SIZE] += np.array((draw.mass, *draw.inertia)) - (
+        nominal.mass,
+        nominal.ixx,
+        nominal.iyy,
+        nominal.izz,
+    )
     fleet = ArenaFleet(
         [(draw.start[0], draw.start[2], 0.0)],
         [float(draw.start[8])],
         ids=(config["vehicle"],),
         scene=track.scene(0.0),
-        noise=noise,
+        vehicles=model,
+        noise=sensor_noise(model),
         rng=for_sensors,
     )
-    fleet.plants[0, :PLANT_SIZE] = (draw.mass, *draw.inertia)
     fleet.plants[0, AP_CAPACITY] *= config["battery"]
     fleet.advance(1)  # compiles, which must not happen in flight
     swarm = Swarm(fleet)
@@ -155,15 +167,20 @@ class VirtualArena:
         vehicle: int = 1,
         cameras: dict[str, Any] | None = None,
         battery: float = 1.0,
+        supply: VehicleSupply | None = None,
     ) -> None:
+        from crazyarena.sim_backend.vehicles import level_supply, vehicle_file
+
         self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
         self.report: dict[str, Any] = {}
         level_file = folder / "level.yaml"
         level_file.write_text(dump_level(level))
+        flown = (supply or level_supply(level, seed)).next()
         config = {
             "level_file": str(level_file),
             "seed": seed,
             "vehicle": vehicle,
+            "vehicle_file": str(vehicle_file(folder, flown)),
             "port": 0,
             "endpoint": self.endpoint,
             "cameras": cameras or {},

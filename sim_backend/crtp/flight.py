@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from crazyarena.sim_backend.arena import ArenaFleet
-from crazyarena.sim_backend.arena_params import PARAMS
+from crazyarena.sim_backend.arena_params import PARAM_INDEX, PARAMS
 from crazyarena.sim_backend.firmware import commander as cm
 from crazyarena.sim_backend.firmware import stack_2026
 from crazyarena.sim_backend.firmware import supervisor as sv
+from crazyarena.sim_backend.firmware.parameters import default_row
 from crazyarena.types import Pose
 
+_DEFAULTS = default_row(PARAMS, 2026)
 _NAMES = frozenset(param.name for param in PARAMS)
 
 Vector = tuple[float, float, float]
@@ -96,6 +98,14 @@ class ArenaVehicle:
 
     def get_param(self, name: str) -> float | None:
         return self.fleet.get_param(self.index, name) if name in _NAMES else None
+
+    def boot_param(self, name: str) -> float | None:
+        """What the vehicle's model says of a parameter, where it differs from the firmware's own
+        default."""
+        index = PARAM_INDEX.get(name)
+        if index is None or self.fleet.models[self.index].params[index] == _DEFAULTS[index]:
+            return None
+        return float(self.fleet.models[self.index].params[index])
 
     def set_param(self, name: str, value: float) -> None:
         if name in _NAMES:

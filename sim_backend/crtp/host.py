@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from crazyarena.sim_backend.crtp.orders import obey
 from crazyarena.sim_backend.crtp.server import VirtualServer
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
 from crazyarena.sim_backend.physics.scene import build_scene
+from crazyarena.sim_backend.vehicles import VehicleChoice, resolve, vehicle_rows
 
 MAX_VEHICLES = 100
 _SPACING = 0.5  # m, between vehicles on the ground
@@ -35,17 +36,18 @@ _SPACING = 0.5  # m, between vehicles on the ground
 class Options:
     """Options of ``virtual-cf``; the texts are parsed by :func:`build`.
 
-    count vehicles from ``port`` on; ``level`` puts gates and obstacles into the world and the
-    first vehicle at its start. ``feed_poses`` Hz, 0 for none. ``mocap`` publishes the poses over
-    zenoh at ``mocap_rate`` Hz on ``mocap_endpoint``, as ideal cameras see them or, with
-    ``camera_noise``, as real ones do. ``radio`` puts the vehicles on the air instead of UDP ports,
-    on these channels, for programs whose dongles look for it on ``radio_port``.
+    count vehicles of the model ``vehicle`` from ``port`` on; ``level`` puts gates and obstacles
+    into the world and the first vehicle at its start. ``feed_poses`` Hz, 0 for none. ``mocap``
+    publishes the poses over zenoh at ``mocap_rate`` Hz on ``mocap_endpoint``, as ideal cameras see
+    them or, with ``camera_noise``, as real ones do. ``radio`` puts the vehicles on the air instead
+    of UDP ports, on these channels, for programs whose dongles look for it on ``radio_port``.
     """
 
     count: int = 1
     host: str = "127.0.0.1"
     port: int = BASE_PORT
     level: str | None = None
+    vehicle: VehicleChoice = field(default_factory=VehicleChoice)
     loss: str | None = None
     latency: str | None = None
     battery: str | None = None
@@ -125,12 +127,20 @@ def build(options: Options) -> Host:
 
     scene, first = None, (0.0, 0.0)
     yaw = 0.0
-    if options.level is not None:
-        draw = LevelRandom(load_level(options.level)).reset()
+    if options.level is None:
+        model = options.vehicle.load()
+    else:
+        level, model = resolve(load_level(options.level), options.vehicle)
+        draw = LevelRandom(level).reset()
         scene = build_scene(draw.gates.tolist(), draw.obstacles.tolist())
         first = (float(draw.start[0]), float(draw.start[2]))
         yaw = float(draw.start[8])
-    fleet = ArenaFleet(starts(options.count, first), np.full(options.count, yaw), scene=scene)
+    fleet = ArenaFleet(
+        starts(options.count, first),
+        np.full(options.count, yaw),
+        vehicles=vehicle_rows(model),
+        scene=scene,
+    )
     # The first tick compiles the kernels, which must not happen in flight.
     fleet.advance(1)
     swarm = VirtualSwarm(fleet, feed_rate=options.feed_poses)

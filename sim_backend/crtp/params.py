@@ -42,6 +42,10 @@ class LiveParams(Protocol):
         """Set a parameter that the simulation has; others are ignored."""
         ...
 
+    def boot_param(self, name: str) -> float | None:
+        """What this vehicle's build boots with, where it is not what the table says."""
+        ...
+
 
 class ParamService:
     """Answers on port 2.
@@ -63,9 +67,13 @@ class ParamService:
 
     def boot(self) -> None:
         """Take every value from the table, or from storage where there is one."""
-        self._values = [self.stored.get(entry.name, entry.boot) for entry in self.entries]
+        self._values = [self.stored.get(entry.name, self._booted(entry)) for entry in self.entries]
         for entry, value in zip(self.entries, self._values, strict=True):
             self._live.set_param(entry.name, value)
+
+    def _booted(self, entry: ParamEntry) -> float:
+        own = self._live.boot_param(entry.name)
+        return entry.boot if own is None else own
 
     def get(self, ident: int) -> bytes:
         """Present value of a parameter as it travels."""

@@ -65,8 +65,8 @@ class VirtualSwarm:
 
     def _feed(self) -> None:
         for index in range(len(self.vehicles)):
-            self.fleet.external_pose(index, self.fleet.true_pose(index))
+            self.fleet.external_pose(index, self.fleet.tracked_pose(index))
 
     def truth(self) -> dict[str, Pose]:
         """True poses by the names ``cf1``, ``cf2``, ... of the vehicles' ids."""
-        return {f"cf{ident}": self.fleet.true_pose(i) for i, ident in enumerate(self.fleet.ids)}
+        return {f"cf{ident}": self.fleet.tracked_pose(i) for i, ident in enumerate(self.fleet.ids)}

@@ -2,7 +2,9 @@
 
 A motor's steady thrust follows its voltage by a cubic; the speed of its rotor (the root of that
 thrust) follows with a first-order lag, which may differ for speeding up and slowing down. Rotors
-carry angular momentum: turning the body against it and changing it both give torques. The
+carry angular momentum: turning the body against it and changing it both give torques. Close to
+the floor they lift more (G. Shi et al., "Neural Lander", ICRA 2019, and before them Cheeseman
+and Bennett, 1955: the excess falls with the square of the height). The
 battery sags with its inner resistance and empties along a table of open-circuit voltages. The
 rest is the rigid body of ``rigid_body.py``, whose rows these rows extend. All numbers are the
 vehicle's: ``sim_backend/vehicles``.
@@ -14,7 +16,13 @@ import math
 
 from crazyarena.sim_backend.firmware.power import FULL_SCALE
 from crazyarena.sim_backend.jit import kernel
-from crazyarena.sim_backend.physics.competition_step import B_OMEGA, B_QUAT, B_VEL, BODY_SIZE
+from crazyarena.sim_backend.physics.competition_step import (
+    B_OMEGA,
+    B_POS,
+    B_QUAT,
+    B_VEL,
+    BODY_SIZE,
+)
 from crazyarena.sim_backend.physics.geometry import NO_CONTACT
 from crazyarena.sim_backend.physics.rigid_body import (
     FULL_PLANT_SIZE,
@@ -46,9 +54,12 @@ AP_RESISTANCE = FULL_PLANT_SIZE + 11  # Ohm
 AP_CURRENT = FULL_PLANT_SIZE + 12  # A per N^1.5 of nominal thrust
 AP_IDLE_CURRENT = FULL_PLANT_SIZE + 13  # A
 AP_MOMENTUM = FULL_PLANT_SIZE + 14  # kg m2/s, of a rotor per sqrt(N) of its speed
-AP_OPEN = FULL_PLANT_SIZE + 15  # V, without load, at OPEN_POINTS shares drawn
-ARENA_PLANT_SIZE = FULL_PLANT_SIZE + 15 + OPEN_POINTS
+AP_GROUND = FULL_PLANT_SIZE + 15  # m2, thrust grows by this over the squared height of rotors
+AP_OPEN = FULL_PLANT_SIZE + 16  # V, without load, at OPEN_POINTS shares drawn
+ARENA_PLANT_SIZE = FULL_PLANT_SIZE + 16 + OPEN_POINTS
 
+_ROTOR_HEIGHT = 0.01  # m, above the centre of mass
+_LOWEST = 0.0377  # m, of the rotors: below it their thrust grows no more
 _REST_TICKS = 100.0
 _REST_SPEED = 1e-4  # m/s, also sqrt(N) of a rotor
 _REST_ARM = 0.06  # m, turns a rate into a speed
@@ -87,6 +98,8 @@ def arena_step(body, plant, motors, fx, fy, fz, dt):
     if down != up:
         fall = 1.0 - math.exp(-dt / down) if down > 0.0 else 1.0
     current = plant[AP_IDLE_CURRENT]
+    height = max(body[B_POS + 2] + _ROTOR_HEIGHT, _LOWEST)
+    cushion = 1.0 + plant[AP_GROUND] / (height * height)
     spin, faster = 0.0, 0.0  # sqrt(N): sum of the speeds about +z, and of their changes
     for i in range(4):
         speed = body[AB_ROTOR + i]
@@ -94,7 +107,7 @@ def arena_step(body, plant, motors, fx, fy, fz, dt):
         change = (rise if wanted > 0.0 else fall) * wanted
         speed += change
         body[AB_ROTOR + i] = speed
-        body[AB_FORCE + i] = plant[AP_STRENGTH + i] * speed * speed
+        body[AB_FORCE + i] = plant[AP_STRENGTH + i] * cushion * speed * speed
         # A weak motor draws what a strong one does.
         current += plant[AP_CURRENT] * speed * speed * speed
         sense = 1.0 if i % 2 == 0 else -1.0

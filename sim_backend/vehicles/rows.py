@@ -89,6 +89,7 @@ def _plant(vehicle: Vehicle) -> Array:
     row[ap.AP_CURRENT] = battery.current.value
     row[ap.AP_IDLE_CURRENT] = battery.idle_current.value
     row[ap.AP_MOMENTUM] = rotors.inertia.value * rotors.speed.value
+    row[ap.AP_GROUND] = rotors.ground.value
     shares, volts = np.array(battery.open_circuit.table).T
     grid = np.linspace(0.0, 1.0, ap.OPEN_POINTS)
     row[ap.AP_OPEN : ap.AP_OPEN + ap.OPEN_POINTS] = np.interp(grid, shares, volts)

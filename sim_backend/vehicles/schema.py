@@ -137,6 +137,8 @@ class Rotors(Model):
     """kg m^2 of rotor and propeller about their axis."""
     speed: _number(0.0, 1e6, above=True)  # type: ignore[valid-type]
     """rad/s per root of the thrust in N."""
+    ground: _number(0.0, 0.1)  # type: ignore[valid-type]
+    """m^2: close to the floor thrust grows by this over the squared height of the rotors."""
 
 
 Pair = Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)]

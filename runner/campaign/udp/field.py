@@ -37,7 +37,7 @@ from crazyarena.runner.timing.realtime import SERVING, raise_priority
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.monitors import CRASHED, LOCKED
 from crazyarena.sim_backend.arena import ArenaFleet
-from crazyarena.sim_backend.arena_world import SENSOR_NOISE
+from crazyarena.sim_backend.arena_world import sensor_noise
 from crazyarena.sim_backend.crtp.faults import Faults
 from crazyarena.sim_backend.crtp.server import VirtualServer
 from crazyarena.sim_backend.physics.competition_step import B_VEL, P_MASS
@@ -184,7 +184,7 @@ def _serve(heard: queue.Queue[Message | None], tell: Tell) -> None:
         [plan.start],
         ids=(VEHICLE,),
         vehicles=plan.vehicle,
-        noise=SENSOR_NOISE,
+        noise=sensor_noise(plan.vehicle),
         rng=np.random.default_rng([seed, 1]),
     )
     fleet.advance(1)  # compiles, which must not happen in flight
