@@ -159,6 +159,7 @@ class Bench:
                     real_time=self._real_time,
                     description={"mocap": f"{self._mocap} {arena.endpoint}", "world": "bench"},
                     environment=with_dongles(arena.air) if self._radio else None,
+                    model=fly.model,
                 )
             except BaseException:
                 arena.close()

@@ -159,6 +159,11 @@ class DryRun:
         self._spread = level.vehicle.spread if spread is None else spread
 
     @property
+    def model(self) -> Vehicle | None:
+        """The vehicle of an arena level."""
+        return self._vehicle
+
+    @property
     def supply(self) -> VehicleSupply | None:
         """The vehicles of a new rig; the first depends on the seed alone."""
         if self._vehicle is None:

@@ -44,6 +44,7 @@ _STREAMED = (
     c.FullState, c.Position, c.VelocityWorld, c.Hover, c.Attitude, c.CutMotors,
 )  # fmt: skip
 _RETRY = 0.01  # s, until a lost request is sent again
+_SWITCHED_ON = 0.04  # s, period of the firmware's slowest part, the supervisor
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +245,7 @@ class SimulatedArena:
     Parameters
     ----------
     rng: everything random in here is drawn from its children, in the order link, cameras,
-        sensors.
+        sensors, moment at which the vehicle is switched on.
     vehicle: id of the vehicle; its body is called ``cf<id>``.
     motions: of the gates, where they move.
     supply: the vehicles that fly, one a :meth:`stage`; the default vehicle if not given.
@@ -265,7 +266,7 @@ class SimulatedArena:
         supply: VehicleSupply | None = None,
         nominal: NominalVehicle | None = None,
     ) -> None:
-        for_link, for_cameras, for_sensors = rng.spawn(3)
+        for_link, for_cameras, for_sensors, self._for_moments = rng.spawn(4)
         self.clock = VirtualClock()
         self.vehicle = vehicle
         self.body = f"cf{vehicle}"
@@ -293,6 +294,9 @@ class SimulatedArena:
     def stage(self, draw: Draw) -> None:
         """Build the track and put the freshly switched-on vehicle at its start, as people do."""
         x, _, y, _, _, _, _, _, yaw, _, _, _ = draw.start
+        # Vehicle, cameras and trial keep time each for itself: nobody makes them start in step,
+        # and a frame that just misses a control tick is a whole period old at the next.
+        self.clock.sleep_until(self.clock.now() + self._for_moments.uniform(0.0, _SWITCHED_ON))
         self._track = Track(draw, self._motions)
         self._staged = self.fleet.time
         self.fleet.set_scene(self._track.scene(0.0))

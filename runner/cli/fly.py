@@ -146,6 +146,7 @@ def fly(
                 limits=limits,
                 real_time=real_time,
                 description={"mocap": kind, "mocap_host": mocap_host, "world": "arena"},
+                model=run.model,
             )
 
         run = Fly(

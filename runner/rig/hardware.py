@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from crazyarena.clock import WallClock
 from crazyarena.crazyswarm_compat.backend import Backend
@@ -25,6 +26,7 @@ class HardwareSetup:
     uri: link of the vehicle, as cflib opens it.
     vehicle, body: its id and its name in the camera system.
     origin: of the session's clock.
+    params: firmware parameters by name, written before anything else.
     real_time: ask for locked memory and real-time scheduling.
     """
 
@@ -36,6 +38,7 @@ class HardwareSetup:
     origin: float
     limits: Limits | None = None
     real_time: bool = True
+    params: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +82,10 @@ def connect(setup: HardwareSetup) -> Hardware:
         options = RadioOptions(outbox=OutboxOptions(extpose_rate=2.0 * EXTERNAL_POSE_RATE))
         backend = RadioBackend(FleetConfig((config,), "command line"), clock, options)
         undo.callback(backend.close)
+        known = set(backend.param_names(vehicle))
+        for name, value in setup.params.items():
+            if name in known:  # older firmware has fewer
+                backend.set_param(vehicle, name, value)
         safeguard = Safeguard(
             setup.level,
             backend,

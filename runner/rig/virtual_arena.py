@@ -46,9 +46,10 @@ def _serve(config: dict[str, Any]) -> None:
     from crazyarena.mocap.sim_source import SimSource
     from crazyarena.sim_backend.arena import ArenaFleet
     from crazyarena.sim_backend.arena_kernel import DT
-    from crazyarena.sim_backend.arena_world import Track, motions, sensor_noise
+    from crazyarena.sim_backend.arena_world import LinkModel, Track, motions, sensor_noise
     from crazyarena.sim_backend.crazyradio.fleet import put_on_air
     from crazyarena.sim_backend.crazyradio.gateway import Gateway
+    from crazyarena.sim_backend.crtp.faults import Faults
     from crazyarena.sim_backend.crtp.server import VirtualServer
     from crazyarena.sim_backend.crtp.swarm import Send, VirtualSwarm
     from crazyarena.sim_backend.physics.arena_plant import AP_CAPACITY
@@ -107,11 +108,16 @@ def _serve(config: dict[str, Any]) -> None:
     if config["radio"]:
         links, air = put_on_air(fleet.ids, clock)
         gateway = Gateway(air, clock, port=0)
+    # The air between the two takes as long as that of a dry run.
+    link = LinkModel()
     server = VirtualServer(
         swarm,
         "127.0.0.1",
         config["port"],
         links=links,
+        faults=None
+        if config["radio"]
+        else Faults(latency=link.latency + link.jitter, jitter=link.jitter),
         clock=clock,
         cameras=cameras,
         publisher=publisher,

@@ -16,6 +16,11 @@ class PushedCameras(Protocol):
         """When the next frame is to be taken, s."""
         ...
 
+    @property
+    def next_event(self) -> float:
+        """When the next frame is to be taken, or one that was taken arrives, s."""
+        ...
+
     def expose(self, time: float, truth: Mapping[str, Pose]) -> None:
         """Take one frame of the true poses at ``time``."""
         ...
@@ -43,6 +48,11 @@ class IdealCameras:
     def next_exposure(self) -> float:
         """When the next frame is to be taken, s."""
         return self._start + self._count / self._rate
+
+    @property
+    def next_event(self) -> float:
+        """When the next frame is to be taken, s."""
+        return self.next_exposure
 
     def expose(self, time: float, truth: Mapping[str, Pose]) -> None:
         """Take one frame."""

@@ -23,7 +23,7 @@ _STALL_MS = 50  # behind wall time by more than this is worth counting
 _BEHIND_MS = 500  # behind by more than this, whoever flies should hear of it,
 _BEHIND_PAUSE = 5.0  # s, but not all the time
 _SLICE_MS = 100  # caught up at a time, between looks at the sockets
-_FILM_MS = 4  # between looks of the cameras: after a stall, too, they have seen every place
+_PER_MS = 10  # vehicles for each millisecond that a packet may be taken for earlier than it is
 
 
 @dataclass(slots=True)
@@ -122,6 +122,7 @@ class VirtualServer:
         self._on_behind = on_behind
         self._behind_told = -math.inf
         self._origin: float | None = None
+        self._grain = min(_WAKE_MS, 1 + len(swarm.vehicles) // _PER_MS)
         self._first_tick = swarm.fleet.tick
         self._lock = threading.RLock()
         self._stop = threading.Event()
@@ -217,6 +218,8 @@ class VirtualServer:
         """Sleep until something is due or arrives; returns the vehicles that have mail."""
         deadline = self._wall(self.swarm.fleet.tick + _WAKE_MS)
         deadline = min(deadline, *(link.due() for link in self.links))
+        if self._cameras is not None:
+            deadline = min(deadline, self._cameras.next_event)
         events = self._selector.select(max(0.0, deadline - self._clock.now()))
         return {key.data for key, _ in events}
 
@@ -225,15 +228,17 @@ class VirtualServer:
         assert self._origin is not None
         return self._origin + 1e-3 * (tick - self._first_tick)
 
+    def _tick(self, time: float) -> int:
+        """First tick at or after a time, s on the clock."""
+        assert self._origin is not None
+        return self._first_tick + math.ceil(1e3 * (time - self._origin) - 1e-6)
+
     def _step(self, ready: set[int]) -> None:
-        """One pass: what arrived, then the time that has passed."""
+        """One pass: the time that has passed, then what arrived at its end."""
         assert self._origin is not None, "run() sets the origin of time"
         self.pace.wakes += 1
-        self._exchange(ready)
-        fleet = self.swarm.fleet
         now = self._clock.now()
-        target = self._first_tick + math.floor(1e3 * (now - self._origin))
-        behind = target - fleet.tick
+        behind = self._first_tick + math.floor(1e3 * (now - self._origin)) - self.swarm.fleet.tick
         self.pace.worst = max(self.pace.worst, behind)
         if behind > _STALL_MS:
             self.pace.stalls += 1
@@ -241,17 +246,31 @@ class VirtualServer:
             self._behind_told = now
             if self._on_behind is not None:
                 self._on_behind(1e-3 * behind)
-        if behind >= _WAKE_MS:
-            ticks = min(behind, _SLICE_MS)
-            self.pace.ticks += ticks
-            while ticks > 0:
-                piece = ticks if self._cameras is None else min(ticks, _FILM_MS)
-                self.swarm.advance(piece, self._say)
-                ticks -= piece
-                self._film()
+        # A packet counts from the tick that is due when it arrives, not from one long past: many
+        # vehicles take longer steps, which cost less.
+        if behind >= self._grain:
+            self._advance(min(behind, _SLICE_MS))
+        self._exchange(ready)
+        self._publish()
         now = self._clock.now()
         for link in self.links:
             link.flush(now)
+
+    def _advance(self, ticks: int) -> None:
+        """Let time pass, with a look of the cameras at every exposure."""
+        fleet, cameras = self.swarm.fleet, self._cameras
+        self.pace.ticks += ticks
+        end = fleet.tick + ticks
+        while fleet.tick < end:
+            until = end if cameras is None else min(end, self._tick(cameras.next_exposure))
+            self.swarm.advance(max(1, until - fleet.tick), self._say)
+            if cameras is None:
+                continue
+            time = self._wall(fleet.tick)
+            if cameras.next_exposure <= time:
+                truth = self.swarm.truth()
+                while cameras.next_exposure <= time:
+                    cameras.expose(cameras.next_exposure, truth)
 
     def _exchange(self, ready: set[int]) -> None:
         now = self._clock.now()
@@ -270,14 +289,9 @@ class VirtualServer:
     def _say(self, vehicle: int, datagram: bytes) -> None:
         self.links[vehicle].send(datagram, self._clock.now())
 
-    def _film(self) -> None:
+    def _publish(self) -> None:
         if self._cameras is None:
             return
-        time = self._wall(self.swarm.fleet.tick)
-        if self._cameras.next_exposure <= time:
-            truth = self.swarm.truth()
-            while self._cameras.next_exposure <= time:
-                self._cameras.expose(self._cameras.next_exposure, truth)
         for frame in self._cameras.frames():
             if self._publisher is not None:
                 self._publisher.publish(frame)

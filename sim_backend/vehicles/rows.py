@@ -96,14 +96,19 @@ def _plant(vehicle: Vehicle) -> Array:
     return row
 
 
-def _params(vehicle: Vehicle) -> Array:
-    row = default_row(PARAMS, 2026)
-    told = {
+def told_params(vehicle: Vehicle) -> dict[str, float]:
+    """``group.name`` -> value of the parameters that a vehicle flies with where they need not be
+    its firmware's own: a ground station writes them, a simulated vehicle has them at once."""
+    return {
         "locSrv.extPosStdDev": vehicle.estimation.position_std.value,
         "locSrv.extQuatStdDev": vehicle.estimation.quaternion_std.value,
         **vehicle.firmware.params,
     }
-    for name, value in told.items():
+
+
+def _params(vehicle: Vehicle) -> Array:
+    row = default_row(PARAMS, 2026)
+    for name, value in told_params(vehicle).items():
         if name not in PARAM_INDEX:
             raise InputError(
                 f"vehicle {vehicle.name}: firmware.params: the firmware has no parameter {name!r}"

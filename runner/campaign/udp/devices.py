@@ -27,6 +27,12 @@ class ArenaCameras(FaultyCameras):
         """Session time of the next exposure, s."""
         return self._pushed.next_exposure
 
+    @property
+    def next_event(self) -> float:
+        """Session time of the next exposure or arrival, s."""
+        held = self._held[0][0] if self._held else math.inf
+        return min(self._pushed.next_event, held)
+
     def expose(self, time: float, truth: Mapping[str, Pose]) -> None:
         """Take one frame of the true poses at ``time``."""
         self._pushed.expose(time, truth)

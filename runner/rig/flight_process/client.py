@@ -30,6 +30,8 @@ from crazyarena.runner.timing.wakeup import StampedClock
 from crazyarena.safety.events import SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import Limits
+from crazyarena.sim_backend.vehicles import Vehicle, load_vehicle
+from crazyarena.sim_backend.vehicles.rows import told_params
 from crazyarena.types import Pose, PoseFrame, Telemetry
 
 # How long before a deadline the clock turns to nothing else, s.
@@ -274,6 +276,7 @@ def connected(
     real_time: bool = True,
     description: dict[str, object] | None = None,
     environment: Mapping[str, str] | None = None,
+    model: Vehicle | None = None,
 ) -> Rig:
     """Start a flight process that connects to a vehicle and a camera system.
 
@@ -283,6 +286,7 @@ def connected(
     vehicle, body: id and name of the vehicle; the name is ``cf<id>`` by default.
     real_time: ask for real-time scheduling and locked memory there.
     environment: of that process, this one's own by default.
+    model: what vehicle it is, the default one if not given: its parameters are written.
 
     Raises
     ------
@@ -292,7 +296,18 @@ def connected(
     body = body or f"cf{vehicle}"
     origin = WallClock().origin
     process = FlightProcess(
-        HardwareSetup(level, uri, source, vehicle, body, origin, limits, real_time), environment
+        HardwareSetup(
+            level,
+            uri,
+            source,
+            vehicle,
+            body,
+            origin,
+            limits,
+            real_time,
+            told_params(load_vehicle() if model is None else model),
+        ),
+        environment,
     )
     try:
         # Both are compiled, while the other process connects.

@@ -306,3 +306,146 @@ def test_true_poses_over_zenoh() -> None:
     assert rate == pytest.approx(120.0, rel=0.05)
     assert set(frames[-1].bodies) == {"cf1", "cf2"}
     assert frames[-1].bodies["cf2"].position == pytest.approx((0.0, 0.5, 0.0135), abs=1e-3)
+
+
+class _Hand:
+    """A clock that somebody sets."""
+
+    def __init__(self) -> None:
+        self.time = 0.0
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep_until(self, deadline: float) -> float:
+        self.time = max(self.time, deadline)
+        return 0.0
+
+
+class _Mail:
+    """A link on which datagrams lie until the server reads them."""
+
+    uri = "test://"
+
+    def __init__(self) -> None:
+        self.faults = Faults()
+        self.waiting: list[bytes] = []
+        self._ends = socket.socketpair()
+
+    @property
+    def uplink(self) -> _Mail:
+        return self
+
+    def due(self) -> float:
+        return float("inf")
+
+    def fileno(self) -> int:
+        return self._ends[0].fileno()
+
+    def post(self, datagram: bytes) -> None:
+        self.waiting.append(datagram)
+        self._ends[1].send(b".")
+
+    def receive(self, now: float) -> list[tuple[bytes, object]]:
+        if self.waiting:
+            self._ends[0].recv(64)
+        taken, self.waiting = self.waiting, []
+        return [(datagram, None) for datagram in taken]
+
+    def send(self, datagram: bytes, now: float, receiver: object = None) -> None: ...
+
+    def flush(self, now: float) -> None: ...
+
+    def boots(self) -> bool:
+        return False
+
+    def reboot(self, now: float) -> None: ...
+
+    def report(self) -> str:
+        return ""
+
+    def close(self) -> None:
+        for end in self._ends:
+            end.close()
+
+
+def _passes(server: VirtualServer, clock: _Hand, times: list[float], act: Callable[[float], None]):
+    """Run the server's loop by hand: at each time ``act``, then one pass."""
+    due = iter(times)
+
+    def wait() -> set[int]:
+        try:
+            clock.time = next(due)
+        except StopIteration:
+            server.stop()
+            return set()
+        act(clock.time)
+        return {0} if server.links[0].waiting else set()  # type: ignore[attr-defined]
+
+    server._wait = wait  # type: ignore[method-assign]
+    server.run()
+
+
+@pytest.mark.parametrize("moment", [0.0, 0.0013, 0.0021, 0.0039])
+def test_a_packet_counts_from_the_tick_at_which_it_arrives(moment: float) -> None:
+    clock, mail = _Hand(), _Mail()
+    server = VirtualServer(_swarm(), links=[mail], clock=clock)
+    heard = []
+    flight = server.swarm.vehicles[0].flight
+    first = server.swarm.fleet.tick
+    offer = flight.fleet.setpoint
+
+    def setpoint(*arguments: object) -> None:
+        heard.append(flight.fleet.tick - first)
+        offer(*arguments)  # type: ignore[arg-type]
+
+    flight.fleet.setpoint = setpoint  # type: ignore[method-assign]
+    arrival = 0.1 + moment
+
+    def act(time: float) -> None:
+        if time == arrival:
+            mail.post(bytes.fromhex("7c00"))
+
+    # The pass before it left the vehicle at a round 4 ms.
+    _passes(server, clock, [0.096, 0.1, arrival] if moment else [0.096, arrival], act)
+    server.close()
+    assert heard == [int(1e3 * arrival + 1e-9)]
+
+
+@pytest.mark.parametrize("rate", [120.0, 240.0, 97.0])
+def test_cameras_see_the_vehicle_where_it_is_when_they_look(rate: float) -> None:
+    clock, mail = _Hand(), _Mail()
+    source = SimSource(clock, None, CameraModel(rate=rate))
+    server = VirtualServer(_swarm(), links=[mail], clock=clock, cameras=source)
+    fleet, first = server.swarm.fleet, server.swarm.fleet.tick
+    late = []
+    expose = source.expose
+
+    def looked(time: float, truth: Mapping[str, Pose]) -> None:
+        late.append(1e-3 * (fleet.tick - first) - time)
+        expose(time, truth)
+
+    source.expose = looked  # type: ignore[method-assign]
+    _passes(server, clock, [0.0, *np.arange(0.004, 0.4, 0.004), 0.55], lambda time: None)
+    server.close()
+    assert len(late) > 0.5 * rate
+    assert min(late) > -1e-9
+    assert max(late) < 1e-3 + 1e-9
+
+
+def test_it_wakes_for_the_arrival_of_a_frame() -> None:
+    clock = _Hand()
+    source = SimSource(clock, None, CameraModel(latency=0.0021, latency_jitter=0.0))
+    server = VirtualServer(_swarm(), port=0, clock=clock, cameras=source)
+    slept: list[float] = []
+
+    def select(timeout: float) -> list[object]:
+        slept.append(timeout)
+        server.stop()
+        return []
+
+    server._selector.select = select  # type: ignore[assignment, method-assign]
+    source.expose(0.0, {})
+    server.run()
+    server.close()
+    assert slept == [pytest.approx(0.0021)]
