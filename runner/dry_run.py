@@ -20,8 +20,9 @@ from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.in_process import InProcess
 from crazyarena.runner.contestant.submission import Submission, entry_file
 from crazyarena.runner.judging.result import EpisodeResult, TrialResult
+from crazyarena.runner.records.outcome_table import remarks, score_line, table
 from crazyarena.runner.records.recorder import Recorder
-from crazyarena.runner.records.report import provenance, table, write_result
+from crazyarena.runner.records.report import provenance, write_result
 from crazyarena.runner.trial.control_loop import Deadlines
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.trial.staging import Staging
@@ -97,7 +98,7 @@ class _Display:
         half_seconds = int(time * 2)
         if half_seconds != self._shown:
             self._shown = half_seconds
-            text = f"episode {episode + 1}/{self._episodes}"
+            text = f"episode {episode} ({episode + 1} of {self._episodes})"
             self._progress.update(self._task, completed=time, description=text)
 
 
@@ -196,6 +197,8 @@ class DryRun:
         self._draw_figures()
         write_result(self.out / "result.json", result, origin)
         console.print(table(result))
+        for line in (score_line(result), *remarks(result, level, self._seed)):
+            console.print(line, highlight=False, markup=False)
         if result.error is not None:
             console.print(result.error, style="red", markup=False, highlight=False, soft_wrap=True)
         console.print(f"Results in {self.out}", highlight=False, soft_wrap=True)

@@ -50,7 +50,9 @@ def explain(
     error: what went wrong on the contestant's or the vehicle's side, if anything did.
     """
     if reason == COLLISION:
-        return _collision(reason, events, rows, gates)
+        text = _collision(reason, events, rows, gates)
+        still = highest < level.start.position[2] + _OFF_THE_GROUND
+        return f"{text}: {_never(first_command)}" if still else text
     if reason == CONSTRAINT_VIOLATION:
         return _violation(reason, events, level)
     if reason == TUMBLED:
@@ -74,7 +76,8 @@ def _collision(reason: str, events: Sequence[Event], rows: Array, gates: Array) 
     at = f"at {event.time:.2f} s"
     kind, _, number = event.detail.partition(" ")
     if kind != "gate" or len(rows) == 0:
-        return f"{reason} with {event.detail or 'something'} {at}"
+        thing = "the ground" if event.detail == "ground" else event.detail or "something"
+        return f"{reason} with {thing} {at}"
     row = rows[int(np.argmin(np.abs(rows[:, TR_TIME] - event.time)))]
     part, where = _at_gate(row[TR_POS : TR_POS + 3], row[TR_VEL : TR_VEL + 3], gates[int(number)])
     return f"{reason} with {event.detail} ({part}) {at}, {where} of its centre"
@@ -99,6 +102,11 @@ def _at_gate(place: Array, velocity: Array, gate: Array) -> tuple[str, str]:
         return f"{side} bar", f"{abs(right):.2f} m {side}"
     bar = "top bar" if up > 0.0 else "bottom bar"
     return bar, f"{abs(up):.2f} m {'above' if up > 0.0 else 'below'}"
+
+
+def _never(first_command: str | None) -> str:
+    began = f", the first command was {first_command}" if first_command else ""
+    return f"never took off{began}"
 
 
 def _centre(gate: Array) -> Array:
@@ -127,8 +135,7 @@ def _too_long(
     first_command: str | None,
 ) -> str:
     if highest < level.start.position[2] + _OFF_THE_GROUND:
-        began = f": the first command was {first_command}" if first_command else ""
-        return f"{reason}: never took off{began}"
+        return f"{reason}: {_never(first_command)}"
     if len(rows) == 0:
         return reason
     place = rows[-1, TR_POS : TR_POS + 3]

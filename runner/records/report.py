@@ -79,34 +79,3 @@ def write_result(file: Path, result: TrialResult, origin: dict[str, Any]) -> Non
         "provenance": origin,
     }
     file.write_text(json.dumps(document, indent=2) + "\n")
-
-
-def table(result: TrialResult) -> Any:
-    """Rich table of the competition's summary fields, a row an episode."""
-    from rich import box
-    from rich.table import Table
-
-    shown = Table(box=box.SIMPLE, header_style="bold", collapse_padding=True, pad_edge=False)
-    shown.add_column("#", justify="right")
-    # A narrow terminal may cut the other columns, never why a flight ended.
-    longest = max((len(e.termination) for e in result.episodes), default=0)
-    shown.add_column("termination", no_wrap=True, min_width=longest)
-    for name in ("time s", "gates", "coll.", "viol.", "reward", "learn s"):
-        shown.add_column(name, justify="right", no_wrap=True)
-    shown.add_column("compute ms\np50/max", justify="right", no_wrap=True)
-    for e in result.episodes:
-        style = "green" if e.clean else "red"
-        c = e.compute_ms
-        learning = e.interstep_learning_time + e.interepisode_learning_time
-        shown.add_row(
-            str(e.index + 1),
-            f"[{style}]{e.termination}[/{style}]",
-            f"{e.flight_time:.3f}",
-            f"{e.gates_passed}/{e.gates}",
-            str(e.collisions),
-            str(e.violations),
-            f"{e.reward:.0f}",
-            f"{learning:.3f}",
-            f"{c['p50']:.2g}/{c['max']:.2g}" if c else "-",
-        )
-    return shown

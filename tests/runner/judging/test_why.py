@@ -63,7 +63,7 @@ def test_sides_turn_with_the_gate():
     ("detail", "found"),
     [
         ("obstacle 1", "COLLISION with obstacle 1 at 5.10 s"),
-        ("ground", "COLLISION with ground at 5.10 s"),
+        ("ground", "COLLISION with the ground at 5.10 s"),
     ],
 )
 def test_other_things_are_hit(detail, found):
@@ -82,7 +82,7 @@ def test_a_violation_names_the_limit():
 def test_time_runs_out_in_different_ways():
     end = referee.MAX_EPISODE_DURATION
     text = told(end, highest=0.03, first_command="NONE")
-    assert text == "MAX EPISODE DURATION: never took off: the first command was NONE"
+    assert text == "MAX EPISODE DURATION: never took off, the first command was NONE"
     x, y, *_ = GATES[2]
     place = (x, y, 0.525 + 0.5)
     assert told(end, places=[place], passed=2).endswith("0.50 m from gate 2")
@@ -104,3 +104,11 @@ def test_nothing_is_known_of_an_empty_step():
     event = Event("contact", 1, 0.1, "gate 0")
     text = explain(referee.COLLISION, [event], trace, GATES, LEVEL, **known)
     assert text == "COLLISION with gate 0 at 0.10 s"
+
+
+def test_a_vehicle_that_never_left_the_ground_says_so():
+    event = Event("contact", 35, 0.07, "ground")
+    text = told(referee.COLLISION, [event], highest=0.03, first_command="NONE")
+    assert text == (
+        "COLLISION with the ground at 0.07 s: never took off, the first command was NONE"
+    )
