@@ -11,8 +11,11 @@ from typing import Any
 
 from crazyarena.errors import DependencyMissing, InputError
 
-# Where programs of one machine meet that were given no endpoint: the first one listens.
+# Where a router, or a server of poses, usually listens on its own machine.
 LOCAL = "tcp/127.0.0.1:7447"
+# Where programs of one machine meet that were given no endpoint: the first one listens. Not the
+# usual port, which must stay free for those.
+MEETING = "tcp/127.0.0.1:7448"
 # Has an attribute in threads whose state is kept.
 _kept = threading.local()
 _ANY_PORT = "tcp/127.0.0.1:0"
@@ -31,7 +34,8 @@ def open_session(
     Parameters
     ----------
     connect, listen: zenoh endpoints such as ``tcp/10.0.0.5:7447``. With none, programs of this
-        machine meet at :data:`LOCAL`; nothing is listened to from outside.
+        machine meet at :data:`MEETING`, and find what listens at :data:`LOCAL`; nothing is
+        listened to from outside.
     config: a zenoh configuration file (JSON5) to begin with: TLS, users and passwords, or
         endpoints, which hold if none are given here.
     network: with no endpoint at all, listen on all interfaces and look for peers on the local
@@ -52,11 +56,13 @@ def open_session(
     try:
         local = not (connect or listen or stated or network)
         if local:
-            connect, listen = [LOCAL], [LOCAL, _ANY_PORT]
+            connect, listen = [MEETING, LOCAL], [MEETING, _ANY_PORT]
             # One of them has the port, and tells each of the others where all are; when it
             # ends, the next program that starts takes its place.
             chosen.insert_json5("listen/exit_on_failure", "false")
             chosen.insert_json5("listen/timeout_ms", "0")
+            # Nobody has to be there yet.
+            chosen.insert_json5("open/return_conditions/connect_scouted", "false")
         if connect:
             chosen.insert_json5("connect/endpoints", json.dumps(connect))
             # A listener that starts before its publisher keeps trying in the background.

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from benchmarks.mocap_latency import free_port
 from crazyarena.clock import VirtualClock, WallClock
 from crazyarena.errors import InputError
+from crazyarena.mocap import zenoh_session
 from crazyarena.mocap.check import MocapCheck
 from crazyarena.mocap.estimator import PoseEstimator
 from crazyarena.mocap.events import EventKind
@@ -279,3 +280,20 @@ def test_a_virtual_clock_has_no_say_in_who_is_believed():
     with pytest.raises(InputError, match="release_after"):
         PublisherPin(0.0)
     assert SourceStatus(SourceState.LIVE).foreign == 0
+
+
+def test_the_usual_port_stays_free_and_what_listens_there_is_found(monkeypatch):
+    usual = f"tcp/127.0.0.1:{free_port()}"
+    monkeypatch.setattr(zenoh_session, "LOCAL", usual)
+    key = f"test/{os.getpid()}/usual"
+    source = ZenohSource(WallClock(), key=key)
+    publisher = ZenohPublisher(WallClock(), key=key, listen=[usual])
+    numbers = itertools.count()
+
+    def came() -> bool:
+        publisher.publish(PoseFrame(0.0, 0.0, next(numbers), HERE))
+        return bool(source.frames(0.02))
+
+    eventually(came, 20.0)
+    publisher.close()
+    source.close()
