@@ -102,15 +102,22 @@ def read(file: Path) -> Recording:
     tables, columns, events = {}, {}, []
     for number, channel in channels.items():
         topic = channel.topic.strip("/")
-        schema = schemas[channel.schema_id]
+        schema = schemas.get(channel.schema_id)
         messages = payloads.get(number, [])
-        if topic == "event":
-            events = [json.loads(data) for data in messages]
-        elif channel.message_encoding == "cdr" and schema.name.startswith("crazyarena/"):
-            names = _columns(schema.data.decode())
-            raw = b"".join(data[4:] for data in messages)
-            tables[topic] = np.frombuffer(raw, "<f8").reshape(-1, len(names))
-            columns[topic] = names
+        try:
+            if topic == "event":
+                events = [json.loads(data) for data in messages]
+            elif (
+                channel.message_encoding == "cdr"
+                and schema is not None
+                and schema.name.startswith("crazyarena/")
+            ):
+                names = _columns(schema.data.decode())
+                raw = b"".join(data[4:] for data in messages)
+                tables[topic] = np.frombuffer(raw, "<f8").reshape(-1, len(names))
+                columns[topic] = names
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"{file}: topic /{topic[:60]} is spoilt: {error}") from None
     return Recording(tables, columns, events, metadata, complete)
 
 
