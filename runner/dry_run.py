@@ -199,6 +199,13 @@ class DryRun:
         console.print(table(result))
         for line in (score_line(result), *remarks(result, level, self._seed)):
             console.print(line, highlight=False, markup=False)
+        if origin.get("rig", {}).get("vehicles"):
+            done = sum(episode.completed for episode in result.episodes)
+            console.print(
+                f"Vehicles drawn from the spread of {origin['rig']['vehicle']}: {done} of "
+                f"{len(result.episodes)} completed",
+                highlight=False,
+            )
         if result.error is not None:
             console.print(result.error, style="red", markup=False, highlight=False, soft_wrap=True)
         console.print(f"Results in {self.out}", highlight=False, soft_wrap=True)

@@ -138,7 +138,7 @@ class NativeEngine:
 
     Parameters
     ----------
-    plants: (n, FULL_PLANT_SIZE) rows, one a vehicle, e.g. ``rigid_body.arena_plant()``.
+    plants: (n, FULL_PLANT_SIZE) rows, one a vehicle, e.g. ``rigid_body.plant_row(...)``.
     gates, obstacles: true poses, rows as for ``scene.build_scene``.
     dt: s per step; 1 or 2 ms.
     ground: False for a world without floor.
