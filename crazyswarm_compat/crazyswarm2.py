@@ -23,7 +23,6 @@ from crazyarena.crazyswarm_compat.config import (
     FleetConfig,
     VehicleConfig,
     load_crazyflies_2,
-    load_yaml,
 )
 from crazyarena.crazyswarm_compat.core import (
     EVERYBODY,
@@ -53,6 +52,7 @@ from crazyarena.crazyswarm_compat.timehelper import (
     make_time_helper,
 )
 from crazyarena.crazyswarm_compat.visualizers import open_visualizer
+from crazyarena.crazyswarm_compat.yaml_node import load_yaml
 from crazyarena.errors import BackendError, InputError
 
 # Where a checkout of Crazyswarm2 keeps the vehicle list, seen from a script or its folder.

@@ -1,4 +1,4 @@
-"""Values of a YAML document that know where they stand, so that complaints can say so."""
+"""Values of a YAML document that know where they stand, for complaints that name the place."""
 
 from __future__ import annotations
 

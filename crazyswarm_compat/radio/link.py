@@ -20,6 +20,7 @@ from crazyarena.crazyswarm_compat.pitfalls import (
     VELOCITY_WITH_MELLINGER,
 )
 from crazyarena.crazyswarm_compat.radio import packets as pk
+from crazyarena.crazyswarm_compat.radio.avoidance import AVOIDANCE_SWITCH, avoidance_params
 from crazyarena.crazyswarm_compat.radio.budget import Budget
 from crazyarena.crazyswarm_compat.radio.client import Client
 from crazyarena.crazyswarm_compat.radio.connecting import open_connection
@@ -46,7 +47,6 @@ from crazyarena.crazyswarm_compat.radio.trajectory_memory import TrajectoryMemor
 from crazyarena.errors import BackendError, CommandError
 
 _CONTROLLER = "stabilizer.controller"
-_EVERYWHERE = 1e6  # m, of a box without bounds
 _MASK_PARAM = "hlCommander.groupmask"
 
 
@@ -411,6 +411,8 @@ class VehicleLink:
         stored = self.parameters.write_later(name, value)
         if name == _MASK_PARAM:
             self.group_mask = int(stored)
+        elif name == AVOIDANCE_SWITCH:
+            self.hears_peers = bool(stored)
         return stored
 
     def set_param(self, name: str, value: float) -> None:
@@ -428,22 +430,14 @@ class VehicleLink:
         self.parameters.compare(name, stored)
 
     def _collision_avoidance(self, m: c.CollisionAvoidance) -> None:
-        if not self.parameters.has("colAv.enable"):
+        if not self.parameters.has(AVOIDANCE_SWITCH):
             if m.enable:
                 raise BackendError(
                     f"{self.name}: its firmware was built without collision avoidance (colAv.*)"
                 )
             return
-        if m.enable:
-            for axis, name in enumerate("XYZ"):
-                self._write_later(f"colAv.ellipsoid{name}", float(m.radii[axis]))
-                low, high = float(m.bbox_min[axis]), float(m.bbox_max[axis])
-                self._write_later(f"colAv.bboxMin{name}", max(low, -_EVERYWHERE))
-                self._write_later(f"colAv.bboxMax{name}", min(high, _EVERYWHERE))
-            self._write_later("colAv.horizon", m.horizon)
-            self._write_later("colAv.maxSpeed", m.max_speed)
-        self._write_later("colAv.enable", int(m.enable))
-        self.hears_peers = m.enable
+        for name, value in avoidance_params(m):
+            self._write_later(name, value)
 
     # Trajectories
 
@@ -468,13 +462,7 @@ class VehicleLink:
         threading.Thread(target=work, name=f"upload-{self.name}", daemon=True).start()
 
     def upload(self, ident: int, piece_offset: int, pieces: Any) -> None:
-        """Write pieces (n, 33) to trajectory memory and declare them a trajectory (blocks).
-
-        Raises
-        ------
-        BackendError
-            if the vehicle has no such memory, refuses, or does not answer in time.
-        """
+        """See :meth:`.trajectory_memory.TrajectoryMemory.upload`."""
         self._memory.upload(ident, piece_offset, pieces)
         self._uploaded.add(ident)
         self._events.emit(TrajectoryUploaded(self._clock.now(), self.id, ident))

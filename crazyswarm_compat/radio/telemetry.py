@@ -34,6 +34,7 @@ _HEALTH = ("pm.vbat", "pm.state", "supervisor.info", "radio.rssi", _COUNT)
 # What firmware before the supervisor told instead.
 _OLD_FLAGS = (("sys.canfly", CAN_FLY), ("sys.isFlying", FLYING), ("sys.isTumbled", TUMBLED))
 _TICKS = 1 << 24
+_LONGEST_PERIOD = 2540  # ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,7 @@ class Block:
         self._config = LogConfig(name, period_ms)
         for variable in variables:
             self._config.add_variable(variable)
-        self._period = period_ms
+        self._asked = self._period = period_ms
         self._received = received
         self._last: int | None = None
         self.packets = 0
@@ -90,8 +91,9 @@ class Block:
         self._config.error_cb.add_callback(self._error)
         self._config.start()
 
-    def pace(self, period_ms: int) -> None:
-        """Go on with another period."""
+    def slow_down(self, divisor: int) -> None:
+        """Go on with ``divisor`` times the period that it began with."""
+        period_ms = min(_LONGEST_PERIOD, self._asked * divisor)
         if period_ms == self._period:
             return
         self._config.stop()
@@ -186,9 +188,8 @@ class TelemetryReader:
         if divisor == self._divisor:
             return
         self._divisor = divisor
-        rates = [rate for rate in self._rates if rate]
-        for block, rate in zip(self._blocks, rates, strict=False):
-            block.pace(_period_ms(rate / divisor))
+        for block in self._blocks:
+            block.slow_down(divisor)
 
     def quality(self, link_quality: float) -> None:
         """Note the quality of the link, 0..1."""
@@ -255,4 +256,4 @@ class TelemetryReader:
 
 
 def _period_ms(rate: float) -> int:
-    return min(2540, max(10, 10 * round(100.0 / rate)))
+    return min(_LONGEST_PERIOD, max(10, 10 * round(100.0 / rate)))

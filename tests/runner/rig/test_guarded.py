@@ -258,7 +258,7 @@ def test_crazyswarm2(swarm):
     guarded.timeHelper.sleep(2.5)
     assert np.linalg.norm(np.array(left.get_position()) - [-1.0, 1.0, 1.0]) < 0.1
     assert not interventions(guarded)
-    assert guarded.allcfs.paramTypeDict["left"]["stabilizer.controller"]
+    assert guarded.allcfs.paramTypeDict["stabilizer.controller"]
     guarded.allcfs.guard._watchdog.request(Action.LAND, "test", 2)
     with pytest.warns(CrazyswarmWarning), pytest.raises(FlightEnded, match="right: the watchdog"):
         guarded.timeHelper.sleepForRate(10)
