@@ -62,6 +62,7 @@ class Bench:
         self.folder = folder
         self.port = free_ports()
         self.zenoh = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+        self.air = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
         self.vehicle = None
 
     def local(self, line):
@@ -72,8 +73,10 @@ class Bench:
             line = line.replace(f":{19850 + k}", f":{self.port + k}")
         line = line.replace("vicon --host 192.168.1.10", f"zenoh --host {self.zenoh}")
         line = line.replace("vicon:192.168.1.10", f"zenoh:{self.zenoh}")
-        line = line.replace("tcp/127.0.0.1:7447", self.zenoh)
-        if "hover.py" in line and "--mocap" in line and "--uri" not in line:
+        line = line.replace("tcp/127.0.0.1:7447", self.zenoh).replace("127.0.0.1:19840", self.air)
+        radio = "with-virtual-radio" in line
+        line = line.replace("-- python", f"-- {sys.executable}")
+        if not radio and "hover.py" in line and "--mocap" in line and "--uri" not in line:
             line += f" --uri {','.join(uris)}"
         words = line.split()
         if words[0] == "crazyarena":
@@ -84,7 +87,10 @@ class Bench:
     def run(self, line):
         if " virtual-cf" in line:
             self.stop()
-            command = self.local(f"{line} --port {self.port} --mocap-endpoint {self.zenoh}")
+            radio = " --radio" in line
+            port = self.air.partition(":")[2] if radio else self.port
+            options = f"--{'radio-' if radio else ''}port {port} --mocap-endpoint {self.zenoh}"
+            command = self.local(f"{line} {options}")
             self.vehicle = subprocess.Popen(
                 command,
                 cwd=self.folder,
@@ -93,7 +99,9 @@ class Bench:
                 text=True,
             )
             for _ in range(2):
-                assert self.vehicle.stdout.readline().startswith("udp://")
+                assert self.vehicle.stdout.readline().startswith(("udp://", "radio://0/80/2M/"))
+            if radio:
+                assert self.vehicle.stdout.readline().startswith("air ")
             return None
         return subprocess.run(
             self.local(line),
@@ -125,8 +133,8 @@ def bench(tmp_path):
 @pytest.mark.slow
 def test_every_command_line_works(bench):
     lines = [line for block in blocks("sh") for line in block.splitlines() if line.strip()]
-    assert sum(" virtual-cf" in line for line in lines) == 2
-    assert sum("hover.py" in line for line in lines) == 4
+    assert sum(" virtual-cf" in line for line in lines) == 3
+    assert sum("hover.py" in line for line in lines) == 5
     flights = 0
     for line in lines:
         done = bench.run(line)
@@ -148,7 +156,7 @@ def test_every_command_line_works(bench):
             assert "Warning: cf" not in done.stderr, report
             flights += 1
         time.sleep(0.2)
-    assert flights == 5
+    assert flights == 7
 
 
 @pytest.mark.slow
