@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from crazyarena.crazyswarm_compat.config import load_crazyflies_1
+from crazyarena.sim_backend.crazyradio.environment import with_dongles
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENT = ROOT / "docs" / "hardware.md"
@@ -63,20 +64,21 @@ class Bench:
         self.port = free_ports()
         self.zenoh = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
         self.air = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
+        self.on_air = False
         self.vehicle = None
 
     def local(self, line):
         """The command line for the virtual vehicle and this test's ports."""
         uris = [f"udp://127.0.0.1:{self.port + k}" for k in range(2)]
         for k, uri in enumerate(uris):
-            line = line.replace(f"radio://0/80/2M/E7E7E7E70{k + 1}", uri)
+            if not self.on_air:
+                line = line.replace(f"radio://0/80/2M/E7E7E7E70{k + 1}", uri)
             line = line.replace(f":{19850 + k}", f":{self.port + k}")
         line = line.replace("vicon --host 192.168.1.10", f"zenoh --host {self.zenoh}")
         line = line.replace("vicon:192.168.1.10", f"zenoh:{self.zenoh}")
         line = line.replace("tcp/127.0.0.1:7447", self.zenoh).replace("127.0.0.1:19840", self.air)
-        radio = "with-virtual-radio" in line
         line = line.replace("-- python", f"-- {sys.executable}")
-        if not radio and "hover.py" in line and "--mocap" in line and "--uri" not in line:
+        if not self.on_air and "hover.py" in line and "--mocap" in line and "--uri" not in line:
             line += f" --uri {','.join(uris)}"
         words = line.split()
         if words[0] == "crazyarena":
@@ -87,9 +89,11 @@ class Bench:
     def run(self, line):
         if " virtual-cf" in line:
             self.stop()
-            radio = " --radio" in line
-            port = self.air.partition(":")[2] if radio else self.port
-            options = f"--{'radio-' if radio else ''}port {port} --mocap-endpoint {self.zenoh}"
+            self.on_air = " --radio" in line
+            port = self.air.partition(":")[2] if self.on_air else self.port
+            options = (
+                f"--{'radio-' if self.on_air else ''}port {port} --mocap-endpoint {self.zenoh}"
+            )
             command = self.local(f"{line} {options}")
             self.vehicle = subprocess.Popen(
                 command,
@@ -100,12 +104,14 @@ class Bench:
             )
             for _ in range(2):
                 assert self.vehicle.stdout.readline().startswith(("udp://", "radio://0/80/2M/"))
-            if radio:
+            if self.on_air:
                 assert self.vehicle.stdout.readline().startswith("air ")
             return None
         return subprocess.run(
             self.local(line),
             cwd=self.folder,
+            # What is written for a real radio flies over the virtual one.
+            env=with_dongles(self.air) if self.on_air else None,
             capture_output=True,
             text=True,
             timeout=120,
