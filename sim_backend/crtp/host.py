@@ -153,7 +153,7 @@ def build(options: Options) -> Host:
         yaw = float(draw.start[8])
     if options.table not in set(Table):
         raise InputError(f"--table: found {options.table!r}; choose {', '.join(Table)}")
-    places, ids = starts(options.count, first), None
+    places, ids, uris = starts(options.count, first), None, None
     if options.fleet is not None:
         if options.level is not None or options.count != 1:
             raise InputError(
@@ -163,6 +163,7 @@ def build(options: Options) -> Host:
         listed = load_crazyflies(options.fleet).vehicles
         places = np.array([(*vehicle.initial_position[:2], 0.0) for vehicle in listed])
         ids = [vehicle.id for vehicle in listed]
+        uris = [vehicle.uri for vehicle in listed]
     fleet = ArenaFleet(
         places,
         np.full(len(places), yaw),
@@ -191,7 +192,7 @@ def build(options: Options) -> Host:
     gateway, links = None, None
     try:
         if plan is not None:
-            links, air = put_on_air(fleet.ids, clock, plan, faults, options.seed)
+            links, air = put_on_air(fleet.ids, clock, plan, faults, options.seed, uris)
             gateway = Gateway(air, clock, options.host, options.radio_port)
         server = VirtualServer(
             swarm,

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from crazyarena.crazyswarm_compat.config import load_crazyflies_1
+from crazyarena.sim_backend.crazyradio.environment import with_dongles
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENT = ROOT / "docs" / "hardware.md"
@@ -62,18 +63,22 @@ class Bench:
         self.folder = folder
         self.port = free_ports()
         self.zenoh = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+        self.air = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
+        self.on_air = False
         self.vehicle = None
 
     def local(self, line):
         """The command line for the virtual vehicle and this test's ports."""
         uris = [f"udp://127.0.0.1:{self.port + k}" for k in range(2)]
         for k, uri in enumerate(uris):
-            line = line.replace(f"radio://0/80/2M/E7E7E7E70{k + 1}", uri)
+            if not self.on_air:
+                line = line.replace(f"radio://0/80/2M/E7E7E7E70{k + 1}", uri)
             line = line.replace(f":{19850 + k}", f":{self.port + k}")
         line = line.replace("vicon --host 192.168.1.10", f"zenoh --host {self.zenoh}")
         line = line.replace("vicon:192.168.1.10", f"zenoh:{self.zenoh}")
-        line = line.replace("tcp/127.0.0.1:7447", self.zenoh)
-        if "hover.py" in line and "--mocap" in line and "--uri" not in line:
+        line = line.replace("tcp/127.0.0.1:7447", self.zenoh).replace("127.0.0.1:19840", self.air)
+        line = line.replace("-- python", f"-- {sys.executable}")
+        if not self.on_air and "hover.py" in line and "--mocap" in line and "--uri" not in line:
             line += f" --uri {','.join(uris)}"
         words = line.split()
         if words[0] == "crazyarena":
@@ -84,7 +89,12 @@ class Bench:
     def run(self, line):
         if " virtual-cf" in line:
             self.stop()
-            command = self.local(f"{line} --port {self.port} --mocap-endpoint {self.zenoh}")
+            self.on_air = " --radio" in line
+            port = self.air.partition(":")[2] if self.on_air else self.port
+            options = (
+                f"--{'radio-' if self.on_air else ''}port {port} --mocap-endpoint {self.zenoh}"
+            )
+            command = self.local(f"{line} {options}")
             self.vehicle = subprocess.Popen(
                 command,
                 cwd=self.folder,
@@ -93,11 +103,15 @@ class Bench:
                 text=True,
             )
             for _ in range(2):
-                assert self.vehicle.stdout.readline().startswith("udp://")
+                assert self.vehicle.stdout.readline().startswith(("udp://", "radio://0/80/2M/"))
+            if self.on_air:
+                assert self.vehicle.stdout.readline().startswith("air ")
             return None
         return subprocess.run(
             self.local(line),
             cwd=self.folder,
+            # What is written for a real radio flies over the virtual one.
+            env=with_dongles(self.air) if self.on_air else None,
             capture_output=True,
             text=True,
             timeout=120,
@@ -125,8 +139,8 @@ def bench(tmp_path):
 @pytest.mark.slow
 def test_every_command_line_works(bench):
     lines = [line for block in blocks("sh") for line in block.splitlines() if line.strip()]
-    assert sum(" virtual-cf" in line for line in lines) == 2
-    assert sum("hover.py" in line for line in lines) == 4
+    assert sum(" virtual-cf" in line for line in lines) == 3
+    assert sum("hover.py" in line for line in lines) == 5
     flights = 0
     for line in lines:
         done = bench.run(line)
@@ -148,7 +162,7 @@ def test_every_command_line_works(bench):
             assert "Warning: cf" not in done.stderr, report
             flights += 1
         time.sleep(0.2)
-    assert flights == 5
+    assert flights == 6
 
 
 @pytest.mark.slow

@@ -173,6 +173,13 @@ def test_a_tenth_lost_is_only_slower(connected, vehicles):
     assert backend.connected(1)
 
 
+def test_fifty_milliseconds_each_way(connected, vehicles):
+    vehicles.command("latency 50ms")
+    backend = connected(1)
+    eventually(lambda: backend.statistics(1).latency_p50 is not None)
+    assert backend.statistics(1).latency_p50 > 0.1
+
+
 def test_cflibs_own_driver_is_an_option(connected):
     backend = connected(2, driver="cflib")
     backend.send(c.Emergency())
