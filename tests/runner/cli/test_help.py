@@ -37,7 +37,7 @@ def test_every_command_and_option_says_what_it_does(name):
             continue
         text = getattr(parameter, "help", None)
         assert text, f"{name} {parameter.opts[0]} has no help"
-        assert text.rstrip().endswith("."), f"{name} {parameter.opts[0]}: {text!r}"
+        assert text.rstrip().endswith((".", ".)")), f"{name} {parameter.opts[0]}: {text!r}"
 
 
 def test_the_list_of_commands_cuts_nothing_off():
