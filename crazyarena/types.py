@@ -67,7 +67,8 @@ class Telemetry:
     """Last known health of one vehicle; ``None`` where the link has not told yet.
 
     battery V; link_quality 0..1; rssi dBm (negative); supervisor is the bit field of the
-    firmware's ``supervisor.info``; state is the on-board estimate.
+    firmware's ``supervisor.info``; state is the on-board estimate; motors (4,) are the commands of
+    M1..M4 as shares of full scale; acceleration (3,) g is the specific force in body axes.
     """
 
     timestamp: float
@@ -76,6 +77,8 @@ class Telemetry:
     rssi: float | None = None
     supervisor: int | None = None
     state: VehicleState | None = None
+    motors: Vector | None = None
+    acceleration: Vector | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,7 +73,11 @@ class VehicleLink:
         self.outbox = Outbox(options.outbox, budget, self._take_over)
         self._packets_sent = 0
         self.telemetry = TelemetryReader(
-            clock, options.state_rate, options.health_rate, lambda: self._packets_sent
+            clock,
+            options.state_rate,
+            options.health_rate,
+            lambda: self._packets_sent,
+            options.plant_rate,
         )
         self.pings = Pings()
         self.client: Client | None = None

@@ -27,7 +27,7 @@ class RadioOptions:
     reconnect: try again by itself, every reconnect_interval; packets_per_second: what one
     Crazyradio carries for all its vehicles (USB and UDP links have no such limit);
     state_rate, health_rate: of the onboard estimate, and of battery, supervisor, RSSI and body
-    rates, 0 for none; ping_rate: of the echoes that show loss and latency; poses: ``single``
+    rates, 0 for none; plant_rate: of motors, accelerometer and voltage, 0 for none; ping_rate: of the echoes that show loss and latency; poses: ``single``
     sends full resolution, ``packed`` millimetres, two vehicles in a packet; param_timeout,
     upload_timeout: for the vehicle's answer; outbox: limits of the traffic classes.
     """
@@ -40,6 +40,7 @@ class RadioOptions:
     packets_per_second: float = 500.0
     state_rate: float = 20.0
     health_rate: float = 10.0
+    plant_rate: float = 0.0
     ping_rate: float = 10.0
     poses: Literal["single", "packed"] = "single"
     param_timeout: float = 2.0
@@ -59,7 +60,7 @@ class RadioOptions:
             value = getattr(self, name)
             if not value > 0:
                 raise InputError(f"radio options: {name} is {value!r}; it must be > 0")
-        for name in ("state_rate", "health_rate"):
+        for name in ("state_rate", "health_rate", "plant_rate"):
             value = getattr(self, name)
             if value != 0 and not 0.4 <= value <= 100:
                 raise InputError(

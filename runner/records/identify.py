@@ -254,29 +254,30 @@ def _by_path(model: _Model, logs: Sequence[RealFlight], say: Callable[[str], Non
     say(f"fitting {', '.join(free)} to the path of {len(moving)} flights")
     start = model.vehicle
 
-    def scaled(logs_of: Array) -> Vehicle:
+    def scaled(at: Array) -> Vehicle:
         vehicle = start
-        for name, log in zip(free, logs_of, strict=True):
+        for name, one in zip(free, at, strict=True):
             for part in (name, "rotors.lag_down") if name == "rotors.lag_up" else (name,):
-                factor = float(np.exp(log))
+                # Steps of the fit are shares of what it is given, which must not be 0.
+                factor = float(np.exp(one - 1.0))
                 value = tuple(factor * one for one in _value(start, part))
                 if name == "body.drag":
                     value = (*value[:2], _value(start, part)[2])
                 vehicle = _with(vehicle, part, value, 0.0, "")
         return vehicle
 
-    def residual(logs_of: Array) -> Array:
-        rows = vehicle_rows(scaled(logs_of))
+    def residual(at: Array) -> Array:
+        rows = vehicle_rows(scaled(at))
         return np.concatenate([_residual(log, rows) for log in moving])
 
     bound = float(np.log(_FACTOR))
     best = least_squares(
-        residual, np.zeros(len(free)), bounds=(-bound, bound), diff_step=0.05, x_scale=0.2,
+        residual, np.ones(len(free)), bounds=(1.0 - bound, 1.0 + bound), diff_step=0.08,
         xtol=5e-3, ftol=1e-3, max_nfev=8,
     )  # fmt: skip
-    errors = _path_errors(best, len(moving))
+    errors = _path_errors(best)
     for at, name in enumerate(free):
-        if errors[at] > _BEST_KNOWN or abs(best.x[at]) > 0.98 * bound:
+        if errors[at] > _BEST_KNOWN or abs(best.x[at] - 1.0) > 0.98 * bound:
             model.refused[name] += "; the path does not tell it either"
             continue
         del model.refused[name]
@@ -298,13 +299,11 @@ def _residual(log: RealFlight, rows: Any) -> Array:
     return np.asarray((np.stack(columns, axis=-1) - log.pose.at(at)).ravel() / np.sqrt(len(at)))
 
 
-def _path_errors(best: Any, count: int) -> Array:
+def _path_errors(best: Any) -> Array:
     """Standard errors of the logarithms; a second of a path counts once."""
-    samples = max(len(best.fun) / 30.0, 1.0)
-    scale = float(best.fun @ best.fun) / len(best.fun) * len(best.fun) / max(samples, 1.0)
+    seconds = max(len(best.fun) / 30.0, 1.0)
     inverse = np.linalg.pinv(best.jac.T @ best.jac)
-    del count
-    return np.asarray(np.sqrt(scale * np.diag(inverse)))
+    return np.asarray(np.sqrt(float(best.fun @ best.fun) / seconds * np.diag(inverse)))
 
 
 # Judging

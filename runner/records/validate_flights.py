@@ -382,7 +382,7 @@ def _mcap(file: Path, controller: str | None, high_level: bool) -> RealFlight:
     if states is None or len(states) < _SHORTEST or sent is None or not len(sent):
         raise InputError(f"{file}: holds no flight: too few poses or no commands")
     names = recording.columns["state"]
-    place = names.index("position_0")
+    place, turn = names.index("position_0"), names.index("orientation_0")
     time = states[:, names.index("time")]
     kept = np.concatenate(([True], np.diff(time) > 0.0))
     pose = Series(time[kept], states[kept, place : place + 3])
@@ -409,7 +409,22 @@ def _mcap(file: Path, controller: str | None, high_level: bool) -> RealFlight:
         tuple(commands),
         setpoint,
         _controller(file, controller, told),
+        attitude=Series(time[kept], states[kept, turn : turn + 4]),
+        **_told(recording),
     )
+
+
+def _told(recording: export.Recording) -> dict[str, Series]:
+    """What the vehicle told of itself."""
+    rows = recording.tables.get("vehicle")
+    if rows is None or len(rows) < _SHORTEST:
+        return {}
+    time = rows[:, 0]
+    return {
+        "volts": Series(time, rows[:, 1]),
+        "motors": Series(time, rows[:, 2:6]),
+        "acceleration": Series(time, rows[:, 6:9]),
+    }
 
 
 def _sent(kind: int, args: Array) -> c.Command | None:

@@ -276,6 +276,7 @@ def connected(
     real_time: bool = True,
     description: dict[str, object] | None = None,
     model: Vehicle | None = None,
+    plant_log: bool = True,
 ) -> Rig:
     """Start a flight process that connects to a vehicle and a camera system.
 
@@ -285,6 +286,7 @@ def connected(
     vehicle, body: id and name of the vehicle; the name is ``cf<id>`` by default.
     real_time: ask for real-time scheduling and locked memory there.
     model: what vehicle it is, the default one if not given: its parameters are written.
+    plant_log: have it tell of motors, accelerometer and voltage.
 
     Raises
     ------
@@ -304,6 +306,7 @@ def connected(
             limits,
             real_time,
             told_params(load_vehicle() if model is None else model),
+            plant_log,
         )
     )
     try:
@@ -326,6 +329,8 @@ def connected(
     clock.process, clock.pipeline = process, pipeline
     guard = RemoteSafeguard(process, clock, Fence.from_level(level))
     about: dict[str, object] = {"backend": uri, "flight_process": process.notes}
+    if model is not None:
+        about["vehicle"] = model.name
     return Rig(
         clock,
         RemoteBackend(process, vehicle),
