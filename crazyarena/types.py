@@ -68,7 +68,8 @@ class Telemetry:
 
     battery V; link_quality 0..1; rssi dBm (negative); supervisor is the bit field of the
     firmware's ``supervisor.info``; state is the on-board estimate; power_state is ``pm.state``:
-    0 on battery, 1 charging, 2 charged, 3 low, 4 empty.
+    0 on battery, 1 charging, 2 charged, 3 low, 4 empty; motors (4,) are the commands of M1..M4 as
+    shares of full scale; acceleration (3,) g is the specific force in body axes.
     """
 
     timestamp: float
@@ -78,6 +79,8 @@ class Telemetry:
     supervisor: int | None = None
     state: VehicleState | None = None
     power_state: int | None = None
+    motors: Vector | None = None
+    acceleration: Vector | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,6 +47,7 @@ from crazyarena.sim_backend.firmware import layout as la
 from crazyarena.sim_backend.firmware import supervisor as sv
 from crazyarena.sim_backend.firmware.kalman import MEAS_POSE, MEAS_POSITION
 from crazyarena.sim_backend.firmware.planner import PIECE_BYTES, TRAJECTORY_MEMORY_SIZE
+from crazyarena.sim_backend.firmware.power import FULL_SCALE
 from crazyarena.sim_backend.physics import competition_step as cs
 from crazyarena.sim_backend.physics import fleet as neighbours
 from crazyarena.sim_backend.physics import geometry
@@ -430,6 +431,8 @@ class ArenaFleet:
                 quaternion=state[la.ST_QUAT : la.ST_QUAT + 4].copy(),
                 angular_velocity=state[la.ST_GYRO : la.ST_GYRO + 3] / _DEG,
             ),
+            motors=rows.motors / FULL_SCALE,
+            acceleration=state[la.ST_GYRO + 3 : la.ST_GYRO + 6].copy(),
         )
 
     def true_state(self, vehicle: int) -> VehicleState:

@@ -23,19 +23,19 @@ class RadioOptions:
     """How vehicles are connected and what they tell; times in s, rates in Hz.
 
     cache: folder of the tables of contents, None to download them every time; connect_timeout:
-    without progress, for all vehicles together; parameters: ``needed`` reads the values of a
-    few parameters when connecting and the others when they are asked for, ``all`` reads all;
-    in_flight: requests under way at once while connecting; link_timeout: silence after which a
-    link counts as lost; reconnect: try again by itself, every reconnect_interval; gone_after: how
-    long a vehicle in the air may be out of reach before its flight counts as over for a script;
-    driver: of radio links, ``scheduled`` sends what is most urgent on a dongle, ``cflib`` gives its
-    vehicles turns, as cflib's own driver does; packets_per_second: what one Crazyradio carries for
-    all its vehicles under ``cflib`` (nothing else needs such a limit);
-    state_rate, health_rate: of the onboard estimate and body rates, and of battery, supervisor
-    and RSSI, 0 for none; ping_rate: of the echoes that show loss and latency; poses: ``single``
-    sends full resolution, ``packed`` millimetres, ``auto`` broadcasts them packed where three
-    vehicles or more share a channel; param_timeout,
-    upload_timeout: for the vehicle's answer; outbox: limits of the traffic classes.
+    without progress, for all vehicles together; parameters: ``needed`` reads the values of a few
+    parameters when connecting and the others when they are asked for, ``all`` reads all; in_flight:
+    requests under way at once while connecting; link_timeout: silence after which a link counts as
+    lost; reconnect: try again by itself, every reconnect_interval; gone_after: how long a vehicle
+    in the air may be out of reach before its flight counts as over for a script; driver: of radio
+    links, ``scheduled`` sends what is most urgent on a dongle, ``cflib`` gives its vehicles turns,
+    as cflib's own driver does; packets_per_second: what one Crazyradio carries for all its vehicles
+    under ``cflib`` (nothing else needs such a limit); state_rate, health_rate: of the onboard
+    estimate and body rates, and of battery, supervisor and RSSI, 0 for none; plant_rate: of motors,
+    accelerometer and voltage, 0 for none; ping_rate: of the echoes that show loss and latency;
+    poses: ``single`` sends full resolution, ``packed`` millimetres, ``auto`` broadcasts them packed
+    where three vehicles or more share a channel; param_timeout, upload_timeout: for the vehicle's
+    answer; outbox: limits of the traffic classes.
     """
 
     cache: Path | None = field(default_factory=default_cache)
@@ -50,6 +50,7 @@ class RadioOptions:
     packets_per_second: float = 500.0
     state_rate: float = 20.0
     health_rate: float = 10.0
+    plant_rate: float = 0.0
     ping_rate: float = 10.0
     poses: Literal["auto", "single", "packed"] = "auto"
     param_timeout: float = 2.0
@@ -79,7 +80,7 @@ class RadioOptions:
                 f"radio options: in_flight is {self.in_flight!r}; it must be 1 to 12 (a vehicle "
                 "queues some sixteen requests)"
             )
-        for name in ("state_rate", "health_rate"):
+        for name in ("state_rate", "health_rate", "plant_rate"):
             value = getattr(self, name)
             if value != 0 and not 0.4 <= value <= 100:
                 raise InputError(

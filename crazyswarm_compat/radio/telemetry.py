@@ -31,6 +31,11 @@ _RATES = ("rateRoll", "ratePitch", "rateYaw")
 # The last is the vehicle's own count of the packets it got.
 _COUNT = "radio.numRxUc"
 _HEALTH = ("pm.vbat", "pm.state", "supervisor.info", "radio.rssi", _COUNT)
+# What a model of the vehicle is identified from; 22 bytes with the voltage in mV.
+_MOTORS = ("motor.m1", "motor.m2", "motor.m3", "motor.m4")
+_ACCELEROMETER = ("acc.x", "acc.y", "acc.z")
+_MILLIVOLTS = "pm.vbatMV"
+_FULL_SCALE = 65535.0
 # What firmware before the supervisor told instead.
 _OLD_FLAGS = (("sys.canfly", CAN_FLY), ("sys.isFlying", FLYING), ("sys.isTumbled", TUMBLED))
 _TICKS = 1 << 24
@@ -137,11 +142,17 @@ class TelemetryReader:
     ----------
     clock: session clock.
     state_rate, health_rate: of the two blocks, Hz; 0 for none.
+    plant_rate: of motors, accelerometer and voltage, Hz; 0 for none.
     sent: how many packets have gone to the vehicle by now.
     """
 
     def __init__(
-        self, clock: Clock, state_rate: float, health_rate: float, sent: Callable[[], int]
+        self,
+        clock: Clock,
+        state_rate: float,
+        health_rate: float,
+        sent: Callable[[], int],
+        plant_rate: float = 0.0,
     ) -> None:
         self._clock = clock
         self._sent = sent
@@ -149,6 +160,7 @@ class TelemetryReader:
         self._uplink = (0, 0)  # sent, arrived
         self._sent_before = 0
         self._rates = (state_rate, health_rate)
+        self._plant_rate = plant_rate
         self._lock = threading.Lock()
         self._blocks: list[Block] = []
         self._divisor = 1
@@ -181,6 +193,12 @@ class TelemetryReader:
         if health_rate and health:
             self._blocks.append(
                 Block(client, "health", health, _period_ms(health_rate), self._health)
+            )
+
+        plant = (*_MOTORS, *_ACCELEROMETER, _MILLIVOLTS)
+        if self._plant_rate and all(knows(client, name) for name in plant):
+            self._blocks.append(
+                Block(client, "plant", plant, _period_ms(self._plant_rate), self._plant)
             )
 
     def slow_down(self, divisor: int) -> None:
@@ -232,6 +250,14 @@ class TelemetryReader:
             angular_velocity=self._omega,
         )
         self._update(timestamp=now, state=state)
+
+    def _plant(self, values: Mapping[str, float]) -> None:
+        self._update(
+            timestamp=self._clock.now(),
+            battery=1e-3 * float(values[_MILLIVOLTS]),
+            motors=np.array([float(values[name]) for name in _MOTORS]) / _FULL_SCALE,
+            acceleration=np.array([float(values[name]) for name in _ACCELEROMETER]),
+        )
 
     def _health(self, values: Mapping[str, float]) -> None:
         changes: dict[str, Any] = {"timestamp": self._clock.now()}

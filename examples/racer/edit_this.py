@@ -8,6 +8,7 @@ with one integrator per axis, and expecting the stale observation that opens lat
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from competition_utils import Command, timing_ep, timing_step
@@ -17,6 +18,10 @@ ARENA = (np.array([-3.0, -3.0, -0.1]), np.array([3.0, 3.0, 2.0]))
 LIFT_OFF = 4.0  # m/s2: off the ground at once, whatever the mass
 STIFFNESS = 0.3
 INTEGRAL = (1.0, 1.0, 8.0)  # 1/s2, from position error to acceleration
+# Of the simulated vehicle of 2022, whose rotors follow at once and which the air does not brake.
+SIMULATED_INERTIA = 1.4e-5  # kg m2
+REAL_DRAG = 0.4  # 1/s, acceleration that a real one loses per m/s
+REAL_LEAD = 0.06  # s by which it is behind what it is told
 JOIN_TIME = 1.0  # s, to get from the true start onto the path
 REROUTE_LIMIT = 5.0  # m/s2, for the detour to a gate that is not where it was said to be
 
@@ -48,6 +53,13 @@ class Controller:
         if spread:
             # Gates move: leave time to react. Obstacles move and are never shown.
             limits = Limits(acceleration=3.0, speed=2.0, gate_speed=1.15, obstacle_uncertainty=0.17)
+        physical = initial_info["nominal_physical_parameters"]
+        self.real = abs(physical["quadrotor_ixx_inertia"] - SIMULATED_INERTIA) > 1e-7
+        if self.real:
+            # Rotors take 0.1 s to follow: slower, and wider around everything.
+            limits = replace(
+                limits, acceleration=1.5, braking=1.0, speed=1.1, gate_speed=0.8, coasting=0.9
+            )
         self.limits = limits
         self.gates = oriented(poses, start, goal)
         self.plan: Path = fly_through(start, self.gates, goal, obstacles, limits, ARENA)
@@ -76,6 +88,8 @@ class Controller:
 
         # Plain floats from here on: arrays of three cost ten times as much.
         where, velocity, push, jerk = self.path.at(time).tolist()
+        planned = where
+        ahead = self.path.at(time + REAL_LEAD).tolist() if self.real else None
         if position is not None:
             if self.shift is None:  # the start is not quite where it was said to be
                 self.shift = [p - w for p, w in zip(position, where, strict=True)]
@@ -83,6 +97,10 @@ class Controller:
                 fade = _fade(time, JOIN_TIME)
                 where = [w + fade * s for w, s in zip(where, self.shift, strict=True)]
             self._correct([w - p for w, p in zip(where, position, strict=True)])
+        if ahead is not None:
+            where = [w + a - p for w, a, p in zip(where, ahead[0], planned, strict=True)]
+            velocity, push, jerk = ahead[1:]
+            push = [a + REAL_DRAG * v for a, v in zip(push, velocity, strict=True)]
         push = [a + b for a, b in zip(push, self.bias, strict=True)]
         if time < 0.15:
             push[2] = max(push[2], LIFT_OFF)

@@ -55,6 +55,7 @@ def compare(
         result = comparing.compare(groups[0], groups[1], names)
         console = Console()
         console.print(comparing.table(result))
+        console.print(result.advice(), highlight=False, markup=False, soft_wrap=True)
         folder = out if out is not None else Path.cwd()
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "compare.json").write_text(json.dumps(result.summary(), indent=2) + "\n")

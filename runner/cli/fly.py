@@ -59,6 +59,13 @@ def fly(
             "(A whole number is taken for --id.)",
         ),
     ] = None,
+    plant_log: Annotated[
+        bool,
+        typer.Option(
+            help="Record motors, accelerometer and battery voltage 50 times a second, for "
+            "crazyarena identify."
+        ),
+    ] = True,
     vehicle_set: VehicleSet = None,
     vehicle_spread: VehicleSpread = None,
     body: Annotated[
@@ -147,6 +154,7 @@ def fly(
                 real_time=real_time,
                 description={"mocap": kind, "mocap_host": mocap_host, "world": "arena"},
                 model=run.model,
+                plant_log=plant_log,
             )
 
         run = Fly(

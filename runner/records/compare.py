@@ -26,7 +26,10 @@ _STEP = 0.01  # s, of the common time line
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """One recorded flight: time (n,) s, position (n, 3) m, gate times, and how long it took."""
+    """One recorded flight: time (n,) s, position (n, 3) m, gate times, and how long it took.
+
+    vehicle: model that flew, or that the real one was taken for; empty if the recording is silent.
+    """
 
     file: Path
     time: Array
@@ -35,6 +38,7 @@ class Flight:
     duration: float
     termination: str
     missed: int
+    vehicle: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +67,23 @@ class Comparison:
     def distance(self) -> Array:
         return np.linalg.norm(self.difference, axis=1)
 
+    @property
+    def vehicles(self) -> tuple[str, str]:
+        """Vehicle models of each group, by name."""
+        first, second = (
+            ", ".join(sorted({flight.vehicle or "unknown" for flight in group}))
+            for group in self.groups
+        )
+        return first, second
+
+    def advice(self) -> str:
+        """The command that would explain by the vehicle what differs."""
+        a, b = self.vehicles
+        runs = " ".join(dict.fromkeys(str(flight.file) for flight in self.groups[1]))
+        if a != b and "unknown" not in (a, b) and "," not in b:
+            return f"Other vehicles flew: crazyarena dry-run ... --vehicle {b}"
+        return f"Does the vehicle explain it? crazyarena identify {runs} -o my_vehicle.yaml"
+
     def summary(self) -> dict[str, Any]:
         """Every figure of the table, as plain data; lengths m, times s."""
         a, b = self.groups
@@ -80,6 +101,7 @@ class Comparison:
             "mean_difference": self.difference.mean(axis=0).tolist(),
             "spread": [float(self.std_a.mean()), float(self.std_b.mean())],
             "duration": [duration_a, duration_b],
+            "vehicles": list(self.vehicles),
             "duration_ratio": duration_b / duration_a if duration_a > 0 else float("nan"),
             "gate_time_difference": (gate_b - gate_a).tolist(),
             "missed_ticks": [
@@ -127,6 +149,7 @@ def _flight(file: Path) -> Flight:
         duration,
         termination,
         events.count("deadline missed"),
+        recording.metadata.get("vehicle", ""),
     )
 
 
@@ -171,6 +194,7 @@ def table(comparison: Comparison) -> Any:
     shown.add_column("", justify="right")
     rows = [
         ("flights", f"{s['flights'][1]} / {s['flights'][0]}"),
+        (f"vehicle of {a}, {b}", " / ".join(s["vehicles"])),
         ("time compared", f"{s['compared_time']:.2f} s"),
         ("mean distance of the mean paths", f"{100 * s['mean_distance']:.2f} cm"),
         ("largest", f"{100 * s['max_distance']:.2f} cm"),

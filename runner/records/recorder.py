@@ -69,6 +69,15 @@ float64 time
 float64 gate
 float64[6] pose
 """
+_VEHICLE_FIELDS = """\
+# What the vehicle tells of itself: battery V, commands of M1..M4 as shares of full scale, specific
+# force in body axes, g.
+float64 time
+float64 battery
+float64[4] motors
+float64[3] acceleration
+"""
+_VEHICLE_SIZE = 9
 # A PoseStamped whose frame id is "map": with its NUL the head is 16 bytes and needs no padding.
 _POSE_FIELDS = """\
 std_msgs/Header header
@@ -111,7 +120,7 @@ _EVENT_SCHEMA = {
     },
 }
 
-_STATE, _COMMAND, _REFEREE, _POSE, _EVENT, _SCENE, _GATE = range(1, 8)
+_STATE, _COMMAND, _REFEREE, _POSE, _EVENT, _SCENE, _GATE, _VEHICLE = range(1, 9)
 
 
 def _ros(channel: int, topic: str, name: str, fields: str) -> mcap_file.Channel:
@@ -131,6 +140,8 @@ CHANNELS = [
     ),
     _ros(_GATE, "/gate", "crazyarena/msg/Gate", _GATE_FIELDS),
 ]
+# Only where a vehicle tells of itself: recordings of the competition's simulation stay as they are.
+VEHICLE_CHANNEL = _ros(_VEHICLE, "/vehicle", "crazyarena/msg/Vehicle", _VEHICLE_FIELDS)
 
 
 def nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.uint64]:
@@ -176,6 +187,7 @@ class Recorder:
     metadata: strings that describe the flight; no wall-clock values.
     scene: a ``foxglove.SceneUpdate`` of the true track (see :mod:`.scene`).
     wall: clock that decides when to append to the ``.part`` file.
+    logs: there is a channel for what the vehicle tells of itself.
 
     Raises
     ------
@@ -189,7 +201,9 @@ class Recorder:
         scene: Mapping[str, Any],
         wall: Clock,
         flush_period: float = 1.0,
+        logs: bool = False,
     ) -> None:
+        self._channels = [*CHANNELS, VEHICLE_CHANNEL] if logs else CHANNELS
         self.file = file
         self._metadata = dict(metadata)
         self._wall = wall
@@ -200,7 +214,7 @@ class Recorder:
             # Now, and not in flight: a thread is confined as the one that starts it.
             part = file.with_name(file.name + ".part")
             try:
-                self._part = PartFile(part, mcap_file.preamble(CHANNELS, "crazyarena"))
+                self._part = PartFile(part, mcap_file.preamble(self._channels, "crazyarena"))
             except OSError as error:
                 raise InputError(
                     f"{part}: cannot write the recording: {error.strerror}. Make room, pass "
@@ -213,7 +227,8 @@ class Recorder:
         self._events: list[tuple[int, bytes]] = []
         self._scenes: list[tuple[int, bytes]] = [(0, json.dumps(scene).encode())]
         self._gates = Rows(8, 64)
-        self._on_disk = [0] * len(CHANNELS)
+        self._vehicle = Rows(_VEHICLE_SIZE, 2048 if logs else 1)
+        self._on_disk = [0] * _VEHICLE
         self._closed = False
 
     def command(self, time: float, asked: Asked, sent: cs.Command | None) -> None:
@@ -253,6 +268,11 @@ class Recorder:
         row[:2] = time, gate
         row[2:] = pose
 
+    def vehicle(self, rows: NDArray[np.float64]) -> None:
+        """Store what the vehicle told of itself (k, 9); dropped unless it ``logs``."""
+        if self._channels is not CHANNELS:
+            self._vehicle.extend(rows)
+
     def scene(self, time: float, scene: Mapping[str, Any]) -> None:
         """Store a further ``foxglove.SceneUpdate``."""
         self._scenes.append((round(time * 1e9), json.dumps(scene).encode()))
@@ -282,6 +302,10 @@ class Recorder:
             batches.append(mcap_file.message(_SCENE, i, *self._scenes[i]))
         gates = self._gates.between(first[6], last[6])
         batches.append(mcap_file.cdr_batch(_GATE, first[6], nanoseconds(gates[:, 0]), gates))
+        told = self._vehicle.between(first[7], last[7])
+        if len(told):
+            times = nanoseconds(np.maximum(told[:, 0], 0.0))
+            batches.append(mcap_file.cdr_batch(_VEHICLE, first[7], times, told))
         return batches
 
     def _counts(self) -> list[int]:
@@ -293,6 +317,7 @@ class Recorder:
             len(self._events),
             len(self._scenes),
             self._gates.count,
+            self._vehicle.count,
         ]
 
     def flush(self) -> None:
@@ -311,12 +336,12 @@ class Recorder:
         counts = self._counts()
         unfinished = self.file.with_name(self.file.name + ".new")
         with open(unfinished, "wb") as stream:
-            writer = mcap_file.McapWriter(stream, CHANNELS)
+            writer = mcap_file.McapWriter(stream, self._channels)
             writer.metadata("crazyarena", self._metadata)
             verbs = {f"asked {number}": name for name, number in VERBS.items()}
             verbs |= {f"sent {number}": kind.__name__ for kind, number in _KIND_NUMBER.items()}
             writer.metadata("verbs", verbs)
-            writer.chunk(self._batches([0] * len(CHANNELS), counts))
+            writer.chunk(self._batches([0] * _VEHICLE, counts))
             writer.finish()
         os.replace(unfinished, self.file)
         self._part.close()

@@ -57,7 +57,8 @@ class RealFlight:
     commands: what was sent to the vehicle, by time.
     setpoint: position (k, 3) m where the commands are setpoints, streamed or from on board.
     motors: (n, 4) commands of M1..M4 as shares of full scale; volts: (n,) battery;
-        acceleration: (n, 3) g, specific force in body axes. Each may be empty.
+        acceleration: (n, 3) g, specific force in body axes; attitude: (n, 4) quaternions x, y, z,
+        w; gyro: (n, 3) rad/s, body axes; rotors: (n, 4) rad/s. Each may be empty.
     controller: 1 PID, 2 Mellinger.
     """
 
@@ -70,6 +71,9 @@ class RealFlight:
     motors: Series = field(default=EMPTY)
     volts: Series = field(default=EMPTY)
     acceleration: Series = field(default=EMPTY)
+    attitude: Series = field(default=EMPTY)
+    gyro: Series = field(default=EMPTY)
+    rotors: Series = field(default=EMPTY)
 
 
 def find(paths: Sequence[Path]) -> list[Path]:
@@ -141,6 +145,9 @@ _NPZ: dict[str, tuple[tuple[tuple[str, float], ...], int, str]] = {
     "motors": ((("motors_u16", 1.0 / 65535.0), ("motors", 1.0)), 4, "shares of full scale"),
     "volts": ((("vbat_mV", 1e-3), ("vbat", 1.0)), 1, "V"),
     "accelerometer": ((("acc_mg", 1e-3), ("acc_g", 1.0), ("acc", 1.0 / 9.81)), 3, "g"),
+    "attitude": ((("quat_1e4", 1e-4), ("quat", 1.0), ("attitude", 1.0)), 4, "quaternions"),
+    "gyro": ((("gyro_dps", np.pi / 180.0), ("gyro", 1.0)), 3, "rad/s"),
+    "rotors": ((("rotors_rpm", np.pi / 30.0), ("rotors", 1.0)), 4, "rad/s"),
 }
 
 
@@ -226,6 +233,9 @@ _AXES = {
     "motors": (("m1", "m2", "m3", "m4"), ("{}", "motor.{}", "motor_{}", "pwm_{}")),
     "volts": (("vbat",), ("{}", "pm.{}")),
     "accelerometer": (("x", "y", "z"), ("acc_{}", "acc.{}")),
+    "attitude": (("x", "y", "z", "w"), ("q{}", "quat_{}", "stateEstimate.q{}")),
+    "gyro": (("x", "y", "z"), ("gyro_{}", "gyro.{}")),
+    "rotors": (("m1", "m2", "m3", "m4"), ("rpm_{}", "rpm.{}")),
 }
 
 
@@ -286,6 +296,10 @@ def _csv_field(name: str, form: str, series: Series) -> Series:
         return Series(series.time, series.value / 65535.0)
     if name == "accelerometer" and form == "acc_{}":
         return Series(series.time, series.value / 9.81)
+    if name == "gyro" and form == "gyro.{}":
+        return Series(series.time, np.radians(series.value))
+    if name == "rotors":
+        return Series(series.time, series.value * np.pi / 30.0)
     return series
 
 
@@ -337,6 +351,9 @@ def _assemble(
         motors=fields.get("motors", EMPTY),
         volts=_flat(fields.get("volts", EMPTY)),
         acceleration=fields.get("accelerometer", EMPTY),
+        attitude=fields.get("attitude", EMPTY),
+        gyro=fields.get("gyro", EMPTY),
+        rotors=fields.get("rotors", EMPTY),
     )
 
 
@@ -365,7 +382,7 @@ def _mcap(file: Path, controller: str | None, high_level: bool) -> RealFlight:
     if states is None or len(states) < _SHORTEST or sent is None or not len(sent):
         raise InputError(f"{file}: holds no flight: too few poses or no commands")
     names = recording.columns["state"]
-    place = names.index("position_0")
+    place, turn = names.index("position_0"), names.index("orientation_0")
     time = states[:, names.index("time")]
     kept = np.concatenate(([True], np.diff(time) > 0.0))
     pose = Series(time[kept], states[kept, place : place + 3])
@@ -392,7 +409,22 @@ def _mcap(file: Path, controller: str | None, high_level: bool) -> RealFlight:
         tuple(commands),
         setpoint,
         _controller(file, controller, told),
+        attitude=Series(time[kept], states[kept, turn : turn + 4]),
+        **_told(recording),
     )
+
+
+def _told(recording: export.Recording) -> dict[str, Series]:
+    """What the vehicle told of itself."""
+    rows = recording.tables.get("vehicle")
+    if rows is None or len(rows) < _SHORTEST:
+        return {}
+    time = rows[:, 0]
+    return {
+        "volts": Series(time, rows[:, 1]),
+        "motors": Series(time, rows[:, 2:6]),
+        "acceleration": Series(time, rows[:, 6:9]),
+    }
 
 
 def _sent(kind: int, args: Array) -> c.Command | None:

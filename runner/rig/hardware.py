@@ -16,6 +16,10 @@ from crazyarena.runner.rig.rig import EXTERNAL_POSE_RATE, FrameListeners, make_p
 from crazyarena.runner.rig.safeguard import Safeguard
 from crazyarena.safety.limits import Limits
 
+# Hz, of 30-byte packets: a tenth of what a Crazyradio carries, and as often as a flight process
+# tells of a vehicle.
+PLANT_RATE = 50.0
+
 
 @dataclass(frozen=True, slots=True)
 class HardwareSetup:
@@ -27,6 +31,7 @@ class HardwareSetup:
     vehicle, body: its id and its name in the camera system.
     origin: of the session's clock.
     params: firmware parameters by name, written before anything else.
+    plant_log: log motors, accelerometer and voltage, from which a model can be identified.
     real_time: ask for locked memory and real-time scheduling.
     """
 
@@ -39,6 +44,7 @@ class HardwareSetup:
     limits: Limits | None = None
     real_time: bool = True
     params: Mapping[str, float] = field(default_factory=dict)
+    plant_log: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +85,10 @@ def connect(setup: HardwareSetup) -> Hardware:
         source = setup.source.open(clock)
         undo.callback(source.close)
         # The forwarder limits the rate; a second limit behind it would only make poses older.
-        options = RadioOptions(outbox=OutboxOptions(extpose_rate=2.0 * EXTERNAL_POSE_RATE))
+        options = RadioOptions(
+            outbox=OutboxOptions(extpose_rate=2.0 * EXTERNAL_POSE_RATE),
+            plant_rate=PLANT_RATE if setup.plant_log else 0.0,
+        )
         backend = RadioBackend(FleetConfig((config,), "command line"), clock, options)
         undo.callback(backend.close)
         known = set(backend.param_names(vehicle))

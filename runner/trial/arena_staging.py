@@ -41,6 +41,7 @@ class ArenaStaging(Staging):
 
     keep_alive = True
     fresh = True
+    logs = True
 
     def __init__(
         self,
@@ -76,6 +77,11 @@ class ArenaStaging(Staging):
 
         with interrupt_policy(land, self.watch.stop):
             yield interrupt
+
+    def metadata(self, track: MeasuredTrack) -> dict[str, str]:
+        vehicle = self._world.rig.description.get("vehicle")
+        named = {} if vehicle is None else {"vehicle": str(vehicle)}
+        return {**super().metadata(track), **named}
 
     def prepare(self, draw: Draw) -> MeasuredTrack:
         track = self._crew.prepare()
@@ -120,6 +126,8 @@ class ArenaStaging(Staging):
 
     def judged(self, verdict: Verdict, time: float, recorder: Recorder | None) -> None:
         super().judged(verdict, time, recorder)
+        if recorder is not None:
+            recorder.vehicle(self._world.logged())
         if self._gates is not None:
             assert self._injection is not None
             self._gates.tell(time, recorder, self._injection)
@@ -158,6 +166,7 @@ class ArenaStaging(Staging):
         rows = self._world.poll()
         if len(rows):
             recorder.epilogue(rows)
+        recorder.vehicle(self._world.logged())
         super().finish(recorder)
 
     @property

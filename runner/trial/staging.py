@@ -34,6 +34,7 @@ class Staging:
     ----------
     watch: may take the vehicle during a run; None if nobody watches.
     keep_alive: setpoints must be repeated while the contestant is silent.
+    logs: the vehicle tells of itself, which is recorded.
     fresh: every episode begins with an observation of its own, not with the last one's.
     renews: every episode has a new vehicle, whatever became of the last.
     in_force: what was granted of real-time privileges.
@@ -43,6 +44,7 @@ class Staging:
     keep_alive = False
     fresh = False
     renews = False
+    logs = False
 
     def __init__(self, injection: Injection | None = None) -> None:
         self._injection = injection

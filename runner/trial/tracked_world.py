@@ -33,6 +33,11 @@ from crazyarena.types import Pose, PoseFrame
 Array = NDArray[np.float64]
 
 
+# A row of what the vehicle tells of itself: time s, battery V, motors 4, accelerometer g 3.
+LOG_SIZE = 9
+_LOG_PERIOD = 0.0149  # s at least between rows
+
+
 class TrackedWorld:
     """The :class:`~crazyarena.runner.trial.world.World` of a rig.
 
@@ -45,6 +50,8 @@ class TrackedWorld:
         self.rig = rig
         self.clock = rig.clock
         self._rows: list[Array] = []
+        self._log: list[Array] = []
+        self._logged_at = -math.inf
         self._last: Array | None = None
         self._epoch = math.inf
         self._setpoint: Array = np.full(10, np.nan)
@@ -53,6 +60,7 @@ class TrackedWorld:
     def begin(self) -> float:
         """Start the episode's time now; returns that, s on the session's clock."""
         self._rows.clear()
+        self._log.clear()
         self._epoch = self.clock.now()
         return self._epoch
 
@@ -82,6 +90,11 @@ class TrackedWorld:
             rows[-1][TR_TUMBLED] = float(info & (INFO_TUMBLED | INFO_CRASHED) != 0)
         return np.array(rows)
 
+    def logged(self) -> Array:
+        """Rows (k, LOG_SIZE) of what the vehicle has told of itself since the last call."""
+        rows, self._log = self._log, []
+        return np.array(rows).reshape(-1, LOG_SIZE)
+
     def motor_forces(self) -> Array:
         """Nobody measures them: NaN."""
         return np.full(4, np.nan)
@@ -103,6 +116,7 @@ class TrackedWorld:
         self.rig.close()
 
     def _see(self, frame: PoseFrame, result: FrameResult) -> None:
+        self._note_log()
         pose = result.accepted.get(self.rig.body)
         if pose is None:
             return
@@ -111,6 +125,16 @@ class TrackedWorld:
         self._last = row
         if row[TR_TIME] > 0.0:
             self._rows.append(row)
+
+    def _note_log(self) -> None:
+        told = self.rig.backend.telemetry(self.rig.vehicle)
+        if told.motors is None or told.acceleration is None or told.battery is None:
+            return
+        if not math.isfinite(self._epoch) or told.timestamp - self._logged_at < _LOG_PERIOD:
+            return
+        self._logged_at = told.timestamp
+        time = told.timestamp - self._epoch
+        self._log.append(np.array((time, told.battery, *told.motors, *told.acceleration)))
 
     def _row(self, pose: Pose, received: float) -> Array:
         # As of its arrival, also when nobody had the time to look at it then.

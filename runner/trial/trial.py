@@ -275,4 +275,4 @@ class Trial:
         metadata |= self._staging.metadata(track)
         scene = scene_update(track.gates, track.obstacles, self._level)
         file = None if self._out is None else self._out / f"episode_{index:03d}.mcap"
-        return Recorder(file, metadata, scene, self._wall)
+        return Recorder(file, metadata, scene, self._wall, logs=self._staging.logs)

@@ -277,6 +277,7 @@ def connected(
     description: dict[str, object] | None = None,
     environment: Mapping[str, str] | None = None,
     model: Vehicle | None = None,
+    plant_log: bool = True,
 ) -> Rig:
     """Start a flight process that connects to a vehicle and a camera system.
 
@@ -287,6 +288,7 @@ def connected(
     real_time: ask for real-time scheduling and locked memory there.
     environment: of that process, this one's own by default.
     model: what vehicle it is, the default one if not given: its parameters are written.
+    plant_log: have it tell of motors, accelerometer and voltage.
 
     Raises
     ------
@@ -306,6 +308,7 @@ def connected(
             limits,
             real_time,
             told_params(load_vehicle() if model is None else model),
+            plant_log,
         ),
         environment,
     )
@@ -329,6 +332,8 @@ def connected(
     clock.process, clock.pipeline = process, pipeline
     guard = RemoteSafeguard(process, clock, Fence.from_level(level))
     about: dict[str, object] = {"backend": uri, "flight_process": process.notes}
+    if model is not None:
+        about["vehicle"] = model.name
     return Rig(
         clock,
         RemoteBackend(process, vehicle),

@@ -15,10 +15,23 @@ from crazyarena.runner.records.recorder import Recorder
 from tests.runner.fakes import rows
 
 
-def record(folder, shift=(0.0, 0.0, 0.0), seconds=4.0, rate=100.0, delay=0.0, gates=(1.0, 2.0)):
+def record(
+    folder,
+    shift=(0.0, 0.0, 0.0),
+    seconds=4.0,
+    rate=100.0,
+    delay=0.0,
+    gates=(1.0, 2.0),
+    vehicle=None,
+):
     """A straight flight of 1 m/s, displaced by ``shift`` m or late by ``delay`` s."""
     folder.mkdir(parents=True)
-    recorder = Recorder(folder / "episode_000.mcap", {}, {}, VirtualClock())
+    recorder = Recorder(
+        folder / "episode_000.mcap",
+        {} if vehicle is None else {"vehicle": vehicle},
+        {},
+        VirtualClock(),
+    )
     times = np.arange(1, int(seconds * rate) + 1) / rate
     path = np.stack([times - delay, 0.0 * times, 1.0 + 0.0 * times], axis=1) + shift
     states = rows(path, rate=rate)
@@ -50,6 +63,18 @@ def test_a_delay_is_found_as_distance_and_in_the_gate_times(tmp_path):
     assert s["gate_time_difference"] == pytest.approx([0.1, 0.1])
     assert s["duration_ratio"] == pytest.approx(1.1)
     assert s["compared_time"] == pytest.approx(4.0, abs=0.02)
+
+
+def test_both_vehicles_are_named_and_what_would_explain_a_difference_is_offered(tmp_path):
+    ours = [record(tmp_path / "a", vehicle="cf21plus")]
+    theirs = [record(tmp_path / "b", vehicle="mine")]
+    unknown = [record(tmp_path / "c")]
+    other, same, silent = (compare(ours, group) for group in (theirs, ours, unknown))
+    assert other.summary()["vehicles"] == ["cf21plus", "mine"]
+    assert "--vehicle mine" in other.advice()
+    assert f"identify {tmp_path / 'a'}" in same.advice()
+    assert silent.vehicles == ("cf21plus", "unknown")
+    assert f"identify {tmp_path / 'c'}" in silent.advice()
 
 
 def test_mean_paths_are_compared_not_pairs(tmp_path):

@@ -11,7 +11,7 @@ from crazyarena.crazyswarm_compat import commands as cs
 from crazyarena.errors import InputError
 from crazyarena.runner.contestant.contract_2022.command_check import Asked
 from crazyarena.runner.judging import verdict_row
-from crazyarena.runner.records import export
+from crazyarena.runner.records import export, validate_flights
 from crazyarena.runner.records.recorder import SENT_KINDS, Recorder
 from tests.runner.fakes import rows
 from tests.waiting import eventually
@@ -176,3 +176,29 @@ def test_what_is_no_recording_is_named(tmp_path):
     file.unlink()
     with pytest.raises(InputError, match=r"no \.mcap recording"):
         export.recordings(tmp_path)
+
+
+def test_what_a_vehicle_tells_of_itself_is_read_back(tmp_path):
+    file = tmp_path / "a.mcap"
+    writing = Recorder(file, {}, {}, VirtualClock(), logs=True)
+    fill(writing, 20)
+    told = np.random.default_rng(1).random((40, 9))
+    told[:, 0] = np.arange(40) / 50.0
+    writing.vehicle(told[:15])
+    writing.flush()
+    writing.vehicle(told[15:])
+    writing.close()
+    flight = validate_flights.load(file)
+    assert np.array_equal(flight.motors.value, told[:, 2:6])
+    assert np.array_equal(flight.volts.value, told[:, 1])
+    assert np.array_equal(flight.acceleration.value, told[:, 6:9])
+    assert np.array_equal(flight.acceleration.time, told[:, 0])
+    assert len(flight.attitude) == len(flight.pose)
+
+
+def test_a_recording_without_such_a_vehicle_has_no_channel_for_it(tmp_path):
+    writing = recorder(tmp_path / "a.mcap")
+    fill(writing, 3)
+    writing.vehicle(np.ones((5, 9)))
+    writing.close()
+    assert b"/vehicle" not in (tmp_path / "a.mcap").read_bytes()
