@@ -34,10 +34,10 @@ class Gate:
 class Limits:
     """What the drone and the rules allow. SI units."""
 
-    acceleration: float = 6.0
-    speed: float = 3.0
-    gate_speed: float = 2.2
-    clearance: float = 0.165  # from the drone's centre to any surface
+    acceleration: float = 5.0
+    speed: float = 2.2
+    gate_speed: float = 1.5
+    clearance: float = 0.18  # from the drone's centre to any surface
     low: tuple[float, float, float] = (-2.4, -1.4, 0.0)
     high: tuple[float, float, float] = (2.4, 1.4, 1.9)
 
