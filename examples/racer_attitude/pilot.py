@@ -10,6 +10,8 @@ LIFT, LIFT_LATE = 4.0, 0.12  # m/s2, s
 SWINGS = ((0.35, 0.0), (0.7, 0.0), (0.35, 0.35))  # m, first guesses
 ROUGH, FINE, IN_FLIGHT = 60, 150, 60  # iterations
 LOST = 0.3  # s, after which a gate that should have been passed is flown to once more
+STRETCHES = (1.0, 1.6, 2.5)  # of the next pieces, where a detour is too sharp
+YAW_RATE = 1.5  # rad/s
 MOVED = 0.005  # m, of anything in sight, that makes it plan anew
 UNSEEN = 0.12  # m, that poles nobody has seen are thought to be thicker
 
@@ -22,6 +24,7 @@ class Navigator:
         self.told = self._track(obs)
         self.start = np.array(obs["pos"], float)
         self.flies = False
+        self.yaw = 0.0
         start = State(*self._lifted(TAKE_OFF))
         self.route = self._best(start, obs, TAKE_OFF, SWINGS)
 
@@ -82,10 +85,30 @@ class Navigator:
         gates = gates[max(0, passed - (legs - len(gates))) :]
         if not gates:
             return
-        guess = self.route.left_at(t, len(gates))
-        now = State(*self.route.at(t))
-        self.route = plan(now, gates, self._walls(obs), self.limits, t, guess, IN_FLIGHT)
+        now, walls = State(*self.route.at(t)), self._walls(obs)
+        best = None
+        for stretch in STRETCHES:
+            p, v, a, duration = self.route.left_at(t, len(gates))
+            duration[:3] *= stretch
+            v[1:3] /= stretch
+            route = plan(now, gates, walls, self.limits, t, (p, v, a, duration), IN_FLIGHT)
+            if best is None or route.cost < best.cost:
+                best = route
+            # What costs much more than it lasts breaks a limit: try it slower.
+            if best.cost < 1.15 * (best.end - t) + 0.3:
+                break
+        self.route = best
 
     def reference(self, t):
         """Position, velocity, acceleration as rows (3, 3) at a time, s since the first step."""
         return self.route.at(t) if self.flies else self._lifted(t)
+
+    def heading(self, obs, period):
+        """Yaw (rad) that turns the drone's sides parallel to the frame it flies through next."""
+        gates = gates_of(obs)
+        if gates:
+            quarter = 0.5 * np.pi
+            want = np.arctan2(gates[0].normal[1], gates[0].normal[0])
+            want = (want + 0.5 * quarter) % quarter - 0.5 * quarter
+            self.yaw += np.clip(want - self.yaw, -YAW_RATE * period, YAW_RATE * period)
+        return self.yaw

@@ -51,10 +51,10 @@ class RacerAttitude(Controller):
         want[:2] *= min(1.0, np.tan(TILT) * want[2] / max(flat, 1e-9))
         body = Rotation.from_quat(obs["quat"]).as_matrix()[:, 2]
         thrust = np.clip(self.mass * (want @ body), self.least, self.most)
-        # Yaw stays 0: the axes across follow from the direction of the thrust alone.
-        z = want / np.linalg.norm(want)
+        yaw = self.navigator.heading(obs, self.period)
+        z = Rotation.from_euler("z", -yaw).apply(want / np.linalg.norm(want))
         roll, pitch = np.arctan2(-z[1], np.hypot(z[0], z[2])), np.arctan2(z[0], z[2])
-        return np.array([roll, pitch, 0.0, thrust], dtype=np.float32)
+        return np.array([roll, pitch, yaw, thrust], dtype=np.float32)
 
     def step_callback(self, action, obs, reward, terminated, truncated, info):
         self.step += 1

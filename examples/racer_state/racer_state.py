@@ -8,8 +8,8 @@ position, velocity *and* an acceleration that makes up for what the controller o
 from __future__ import annotations
 
 import numpy as np
-from drone_models.core import load_params
 from crazyflow.sim.visualize import draw_line
+from drone_models.core import load_params
 from lsy_drone_racing.control import Controller
 from pilot import Navigator
 
@@ -50,7 +50,7 @@ class RacerState(Controller):
             self.bias = np.clip(self.bias, -1.5, 1.5)
         force = self.mass * (push + self.bias + GRAVITY) / self.scale
         acceleration = force / self.mass_on_board - GRAVITY
-        rest = np.zeros(4)  # yaw and rates
+        rest = [self.navigator.heading(obs, self.period), 0.0, 0.0, 0.0]  # yaw and rates
         return np.concatenate([place, velocity, acceleration, rest], dtype=np.float32)
 
     def step_callback(self, action, obs, reward, terminated, truncated, info):
