@@ -79,3 +79,11 @@ def test_evaluation_counts_and_exits_by_half(call):
     assert document["passed"] is False
     assert document["mean_time"] is None
     assert [r["termination"] for r in document["runs"]] == ["CONTROLLER FINISHED"] * 2
+
+
+def test_levels_are_listed_and_shown(call):
+    listed = call(STATE, "levels")
+    assert "lsy/level3" in listed.output
+    shown = call(STATE, "levels", "lsy/level3")
+    assert "randomize = true" in shown.output
+    assert call(STATE, "levels", "none.toml").exit_code == 2
