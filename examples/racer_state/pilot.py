@@ -71,8 +71,9 @@ class Navigator:
             return
         # The route may be past a gate that the drone has not quite reached.
         legs = len(self.route.duration) // 2 - 1
-        behind = self.route.gate_times[: legs - len(gates) + 1]
-        if len(behind) > legs - len(gates) and t > behind[-1] + LOST:
+        first = legs - len(gates)  # of the route's gates, the one that is to be passed next
+        due = self.route.gate_times[first] if first >= 0 else self.route.begin
+        if t > due + LOST:
             self.told = self._track(obs)
             now = State(np.array(obs["pos"], float), np.array(obs["vel"], float), np.zeros(3))
             self.route = self._best(now, obs, t, SWINGS[:1])
@@ -82,7 +83,7 @@ class Navigator:
             return
         self.told = track
         passed = sum(time <= t for time in self.route.gate_times)
-        gates = gates[max(0, passed - (legs - len(gates))) :]
+        gates = gates[max(0, passed - first) :]
         if not gates:
             return
         now, walls = State(*self.route.at(t)), self._walls(obs)

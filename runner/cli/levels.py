@@ -24,7 +24,6 @@ def levels(
     """List the shipped levels, or print one with every field, ready to be edited."""
     with bad_input_exits():
         from crazyarena.levels import dump_level, load_level, shipped_levels
-
         from crazyarena.levels.lsy import (
             is_lsy_level,
             load_lsy_level,
