@@ -34,10 +34,10 @@ class Gate:
 class Limits:
     """What the drone and the rules allow. SI units."""
 
-    acceleration: float = 6.0
-    speed: float = 3.0
-    gate_speed: float = 2.2
-    clearance: float = 0.165  # from the drone's centre to any surface
+    acceleration: float = 5.0
+    speed: float = 2.2
+    gate_speed: float = 1.35
+    clearance: float = 0.18  # from the drone's centre to any surface
     low: tuple[float, float, float] = (-2.4, -1.4, 0.0)
     high: tuple[float, float, float] = (2.4, 1.4, 1.9)
 
@@ -289,7 +289,7 @@ def plan(
         )
         pace, g_first = _excess(first, limits.speed, 4.0)
         effort, g_second = _excess(second, limits.acceleration, 2.0)
-        jolt, g_third = _excess(third, 0.0, 1e-4)
+        jolt, g_third = _excess(third, 0.0, 2e-4)
         distance, away = _clearance(walls, points.reshape(-1, 3))
         gap = np.maximum(limits.clearance - distance, 0.0)
         crash = 5000.0 * (gap**2).sum(-1).reshape(pace.shape)

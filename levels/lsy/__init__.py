@@ -5,7 +5,7 @@ gates that tilt, poles by their top, noise on the command) has other fields and 
 draws.
 """
 
-from crazyarena.levels.lsy.load import is_lsy_level, load_lsy_level, shipped_lsy_levels
+from crazyarena.levels.lsy.load import is_lsy_level, load_lsy_level, lsy_text, shipped_lsy_levels
 from crazyarena.levels.lsy.schema import LsyLevel
 
-__all__ = ["LsyLevel", "is_lsy_level", "load_lsy_level", "shipped_lsy_levels"]
+__all__ = ["LsyLevel", "is_lsy_level", "load_lsy_level", "lsy_text", "shipped_lsy_levels"]

@@ -52,15 +52,7 @@ def load_lsy_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> L
     ------
     InputError: naming file, line, field, what was found and what is allowed.
     """
-    text = str(name_or_path)
-    if text in shipped_lsy_levels():
-        path, shown = _FOLDER / f"{text.removeprefix(_PREFIX)}.toml", f"{text}.toml"
-    else:
-        path, shown = Path(text), text
-        if not path.is_file():
-            raise InputError(
-                f"{text}: no such level file (shipped: {', '.join(shipped_lsy_levels())})"
-            )
+    path, shown = _place(name_or_path)
     root = read_toml(path, shown)
     ours = dict[str, Node]()
     for override in overrides:
@@ -72,7 +64,7 @@ def load_lsy_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> L
     _refuse_several(root)
     known = Node({k: v for k, v in root.value.items() if k not in _OURS}, "", root.source)
     stem = re.sub(r"[^A-Za-z0-9_.-]", "_", path.stem)
-    name = f"lsy-{stem}" if text in shipped_lsy_levels() else stem
+    name = f"lsy-{stem}" if path.parent == _FOLDER else stem
     extra = {
         "name": Node(name, "name", root.source),
         **ours,
@@ -82,6 +74,26 @@ def load_lsy_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> L
     tree.value["config"] = _Plain(known.plain(), "config", root.source)
     level = validate(tree, LsyLevel)
     return level.model_copy(update={"warnings": tuple(_unknown(known, LsyLevel))})
+
+
+def lsy_text(name_or_path: str | Path) -> str:
+    """The file of a level as it is; raises InputError if it cannot be read."""
+    path, shown = _place(name_or_path)
+    try:
+        return path.read_text("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{shown}: cannot read the file: {error}") from error
+
+
+def _place(name_or_path: str | Path) -> tuple[Path, str]:
+    """Where a level's file is, and its name in messages."""
+    text = str(name_or_path)
+    if text in shipped_lsy_levels():
+        return _FOLDER / f"{text.removeprefix(_PREFIX)}.toml", f"{text}.toml"
+    path = Path(text)
+    if not path.is_file():
+        raise InputError(f"{text}: no such level file (shipped: {', '.join(shipped_lsy_levels())})")
+    return path, text
 
 
 class _Plain(Node):
