@@ -186,6 +186,7 @@ class Watchdog:
             self._frames.note(frame.timestamp)
             persons: dict[str, Point] = {}
             strangers = 0
+            believed: list[tuple[_Watched, Pose]] = []
             for name, pose in frame.bodies.items():
                 watched = self._watched.get(name)
                 if watched is not None:
@@ -193,7 +194,7 @@ class Watchdog:
                     if name in result.accepted:
                         watched.accepted_once = True
                         watched.doubted_since = None
-                        self._compare_heading(watched, pose, frame.timestamp)
+                        believed.append((watched, pose))
                     elif watched.accepted_once and watched.doubted_since is None:
                         watched.doubted_since = frame.received
                 elif name.startswith(self._people):
@@ -209,6 +210,9 @@ class Watchdog:
         with self._wake:
             self._pending = True
             self._wake.notify()
+        # Last, for it takes longest, and nothing depends on it at once.
+        for watched, pose in believed:
+            self._compare_heading(watched, pose, frame.timestamp)
 
     def _compare_heading(self, watched: _Watched, pose: Pose, captured: float) -> None:
         """What a believed pose and the gyroscope say of each other, while the vehicle flies."""

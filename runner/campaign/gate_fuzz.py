@@ -395,7 +395,7 @@ def _fly(script: Script, swarm: Any, outcome: Outcome) -> None:
             if call.wait:
                 sleep(call.wait)
         sleep(2.0)
-    except BackendError as error:
+    except (BackendError, AssertionError) as error:  # whatever a script dies of
         outcome.ended = str(error)
     end = clock.now() + _REST
     with contextlib.suppress(BackendError, CommandError):
