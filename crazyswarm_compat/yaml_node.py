@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from crazyarena.bounded_read import parse_yaml, read_text
 from crazyarena.errors import InputError
 
 
@@ -103,20 +102,10 @@ class Node:
 def load_yaml(given: str | os.PathLike[str], what: str) -> Node:
     """Read a ``.yaml`` path (or any path object), else take the text itself as YAML."""
     if isinstance(given, os.PathLike) or given.rstrip().endswith((".yaml", ".yml")):
-        source = os.fspath(given)
-        try:
-            text = Path(source).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            raise InputError(
-                f"{source}: cannot read the {what}: {reason} (looked in {os.getcwd()})"
-            ) from error
+        source, text = os.fspath(given), read_text(Path(given), what)
     else:
         source, text = f"{what} (given as text)", given
-    try:
-        value = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    except yaml.YAMLError as error:
-        raise InputError(f"{source}: not valid YAML: {error}") from error
+    value = parse_yaml(text, source)
     node = Node(value, source)
     if not isinstance(value, Mapping):
         raise node.fail(f"a mapping, as in a {what}")

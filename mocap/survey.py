@@ -14,9 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from crazyarena.bounded_read import read_json
 from crazyarena.errors import InputError
 from crazyarena.mocap.cadence import Cadence
 from crazyarena.mocap.rotations import angle_between
+from crazyarena.plain_text import shown_line
 from crazyarena.types import Pose, PoseFrame, Vector
 
 FORMAT = "crazyarena-measured-track"
@@ -263,16 +265,7 @@ def write_track(path: str | Path, report: SurveyReport, level: str = "") -> None
 def read_track(path: str | Path) -> dict[str, Pose]:
     """Read a measured track; raises InputError naming file and field."""
     path = Path(path)
-    try:
-        with path.open(encoding="utf-8") as stream:
-            text = stream.read(_LONGEST + 1)
-        if len(text) > _LONGEST:
-            raise InputError(f"{path}: not a measured track: longer than {_LONGEST} characters")
-        document = json.loads(text)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a measured track: {error}") from None
-    except RecursionError:
-        raise InputError(f"{path}: not a measured track: nested too deeply") from None
+    document = read_json(path, "measured track")
     if not isinstance(document, dict) or (document.get("format"), document.get("version")) != (
         FORMAT,
         VERSION,
@@ -288,12 +281,13 @@ def read_track(path: str | Path) -> dict[str, Pose]:
             quaternion = np.array(body["quaternion"], dtype=float)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             what = f"missing {error}" if isinstance(error, KeyError) else str(error)
-            raise InputError(f"{path}: body {name[:80]!r}: {what}") from None
+            raise InputError(f"{path}: body {shown_line(name)}: {shown_line(what)}") from None
         good = position.shape == (3,) and quaternion.shape == (4,)
         good = good and bool(np.isfinite([*position, *quaternion]).all())
         if not good or abs(float(np.linalg.norm(quaternion)) - 1.0) > 1e-6:
             raise InputError(
-                f"{path}: body {name}: need position (3,) and unit quaternion x, y, z, w"
+                f"{path}: body {shown_line(name)}: need position (3,) and unit quaternion "
+                "x, y, z, w"
             )
         poses[name] = Pose(position, quaternion)
     return poses

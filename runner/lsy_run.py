@@ -18,6 +18,7 @@ from crazyarena.clock import WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels.lsy import LsyLevel, load_lsy_level
 from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, fresh_seed
+from crazyarena.plain_text import shown_in
 from crazyarena.runner.contestant.contract_lsy.dialogue import LsyContestant
 from crazyarena.runner.contestant.contract_lsy.pilot import LsyInProcess
 from crazyarena.runner.contestant.contract_lsy.submission import (
@@ -117,6 +118,7 @@ class LsyRun:
         self._episodes = episodes
         self.out = out
         self._record = record
+        self.isolated = False
         self._sandbox = sandbox
         self._require = require_sandbox
         self._console = console if console is not None else Console()
@@ -146,6 +148,7 @@ class LsyRun:
                 results.append(result)
                 if result.termination in (CONTROLLER_ERROR, INTERRUPTED):
                     break
+        self.isolated = bool(contestant.description["isolated"])
         outcome = LsyResult(results, self._episodes, self.seed)
         if self.out is not None:
             self._write(outcome, contestant)
@@ -224,7 +227,9 @@ class LsyRun:
                 "contestant": contestant.description,
             },
         }
-        (self.out / "result.json").write_text(json.dumps(document, indent=2) + "\n")
+        document["isolated"] = self.isolated
+        text = json.dumps(shown_in(document), indent=2)
+        (self.out / "result.json").write_text(text + "\n")
 
 
 def summary(result: LsyResult) -> dict[str, Any]:

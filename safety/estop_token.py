@@ -18,7 +18,7 @@ from pathlib import Path
 import crazyarena.secret
 
 _WINDOW = 30.0  # s, for messages that name no session; hosts' clocks may differ by so much
-_MAX_BYTES = 2048
+MAX_BYTES = 2048
 _MAX_LABEL = 80
 _VERSION = "crazyarena-estop-1"
 
@@ -84,10 +84,10 @@ class TokenCheck:
 
     def _verified(self, payload: bytes, secret: bytes) -> str | None:
         try:
-            fields = json.loads(payload) if len(payload) <= _MAX_BYTES else {}
+            fields = json.loads(payload) if len(payload) <= MAX_BYTES else {}
             nonce, session = str(fields["nonce"]), str(fields["session"])
             stamp, reason, mac = float(fields["time"]), str(fields["reason"]), str(fields["mac"])
-        except (ValueError, TypeError, KeyError, RecursionError):
+        except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
             return None
         expected = _mac(secret, session, nonce, stamp, reason)
         if not hmac.compare_digest(expected.encode(), mac.encode("utf-8", "replace")):
@@ -104,6 +104,7 @@ class TokenCheck:
 def _reason_of(payload: bytes) -> str:
     """Best guess at a reason; whatever was sent, somebody meant to stop."""
     try:
-        return str(json.loads(payload[:_MAX_BYTES])["reason"])
+        reason = json.loads(payload[:MAX_BYTES])["reason"]
+        return reason if isinstance(reason, str) else ""
     except (ValueError, TypeError, KeyError, RecursionError):
         return payload[:80].decode("utf-8", "replace")

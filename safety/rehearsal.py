@@ -7,6 +7,7 @@ with the login.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -15,7 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from crazyarena.safety.estop_sources import runtime_folder
+from crazyarena.errors import InputError
+from crazyarena.safety.estop_local import runtime_folder
 
 _FILE = "rehearsed.json"
 _STOP = "stop"
@@ -32,8 +34,10 @@ class Rehearsals:
     """
 
     def __init__(self, folder: Path | None = None, wall: Callable[[], float] = time.time) -> None:
-        self._file = (folder or runtime_folder()) / _FILE
         self._wall = wall
+        self._file: Path | None = None  # where nothing can be kept, nothing was tried
+        with contextlib.suppress(InputError):
+            self._file = (folder or runtime_folder()) / _FILE
 
     def note_stop(self) -> None:
         """An emergency stop was tried now."""
@@ -72,13 +76,19 @@ class Rehearsals:
         return age if age >= 0.0 else math.inf
 
     def _read(self) -> dict[str, Any]:
+        if self._file is None:
+            return {}
         try:
-            found = json.loads(self._file.read_text())
-        except (OSError, ValueError):
+            found = json.loads(self._file.read_bytes())
+        except (OSError, ValueError, RecursionError):
             return {}
         return found if isinstance(found, dict) else {}
 
     def _change(self, entries: dict[str, Any]) -> None:
+        if self._file is None:
+            return
         part = self._file.with_name(f"{_FILE}.{os.getpid()}")
-        part.write_text(json.dumps({**self._read(), **entries}))
-        part.replace(self._file)
+        # What cannot be remembered is asked for again.
+        with contextlib.suppress(OSError):
+            part.write_text(json.dumps({**self._read(), **entries}))
+            part.replace(self._file)

@@ -29,7 +29,7 @@ from crazyarena.crazyswarm_compat.radio.options import RadioOptions
 from crazyarena.crazyswarm_compat.radio.preflight import Preparation, prepare_vehicle
 from crazyarena.crazyswarm_compat.radio.quality import LinkStatistics
 from crazyarena.crazyswarm_compat.radio.script_report import ScriptReport
-from crazyarena.crazyswarm_compat.radio.telemetry import SupervisorState
+from crazyarena.crazyswarm_compat.radio.telemetry import SupervisorState, is_stopped
 from crazyarena.errors import BackendError, CommandError, InputError
 from crazyarena.types import Pose, Telemetry, Vector
 
@@ -189,6 +189,16 @@ class RadioBackend:
             if loss is not None:
                 return replace(latest, link_quality=1.0 - loss)
         return latest
+
+    def stopped_since(self, time: float) -> int:
+        """How many vehicles have confirmed an emergency stop sent at ``time`` s: their motors
+        are locked, or, of firmware that does not say so, they were heard after it."""
+        count = 0
+        for link in self._links.values():
+            latest = link.telemetry.latest
+            if latest.timestamp > time:
+                count += latest.supervisor is None or is_stopped(latest.supervisor)
+        return count
 
     def get_param(self, vehicle: int, name: str) -> float:
         """Value of ``group.name``, after writes under way are acknowledged (blocks for those).

@@ -42,6 +42,13 @@ _TICKS = 1 << 24
 _LONGEST_PERIOD = 2540  # ms
 
 
+def is_stopped(flags: int) -> bool:
+    """Whether ``supervisor.info`` says that the motors are locked; or that it does not fly, of
+    old firmware, which has no word for locked."""
+    old = not flags & ~(CAN_FLY | FLYING | TUMBLED)
+    return bool(flags & LOCKED) or (old and not flags & FLYING)
+
+
 @dataclass(frozen=True, slots=True)
 class SupervisorState:
     """``supervisor.info`` by name."""

@@ -15,8 +15,9 @@ import re
 import typer
 
 
-def make_app() -> typer.Typer:
-    """Build the application with every subcommand found in this folder."""
+def make_app(only: str | None = None) -> typer.Typer:
+    """Build the application with every subcommand found in this folder, or with that of one
+    module."""
     app = typer.Typer(
         name="crazyarena",
         help="Fly drone-racing controllers on real Crazyflies, after dry-running them in sim.",
@@ -40,6 +41,8 @@ def make_app() -> typer.Typer:
             raise typer.Exit
 
     for module in sorted(pkgutil.iter_modules(__path__), key=lambda m: m.name):
+        if only is not None and module.name != only:
+            continue
         register = getattr(importlib.import_module(f"{__name__}.{module.name}"), "register", None)
         if register is not None:
             register(app)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,7 +17,6 @@ from crazyarena.runner.cli.common import (
     ArenaLevel,
     Out,
     Overrides,
-    Seed,
     bad_input_exits,
 )
 from crazyarena.runner.cli.options.flight import flight_options
@@ -56,7 +56,10 @@ def bench(
     submission: AnySubmission = None,
     level: ArenaLevel = "sim2real",
     runs: Annotated[int, typer.Option(min=1, max=100, help="How many, on the same draw.")] = 1,
-    seed: Seed = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Of the draw. Default: 128 bits that nobody can guess."),
+    ] = None,
     out: Out = None,
     set_: Overrides = None,
     dry: Annotated[
@@ -111,7 +114,7 @@ def bench(
             folder.resolve(),
             overrides=set_ or [],
             runs=runs,
-            seed=loaded.seed if seed is None else seed,
+            seed=replace(options, secret=seed is None).seed(seed, loaded),
             dry=dry,
             options=options,
             real_time=real_time,

@@ -10,6 +10,7 @@ import typer
 
 from crazyarena.runner.cli.common import (
     EXIT_NOT_CLEAN,
+    Secret,
     bad_input_exits,
 )
 from crazyarena.runner.cli.options.flight import Sandbox, flight_options
@@ -45,6 +46,7 @@ def dry_run(
         int | None, typer.Option(min=1, help="How many. Default: the level's own number.")
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")] = None,
+    secret: Secret = False,
     out: Annotated[
         Path | None, typer.Option(help="Results folder. Default: a new one under runs/.")
     ] = None,
@@ -66,7 +68,8 @@ def dry_run(
     2 when the level or the submission is at fault before anything has flown.
     """
     with bad_input_exits():
-        if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options, sandbox):
+        options = replace(options, sandbox=sandbox, secret=secret)
+        if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options):
             return
         from crazyarena.runner.dry_run import DryRun
 
@@ -79,7 +82,7 @@ def dry_run(
             out=out,
             record=record,
             figure=figure,
-            options=replace(options, sandbox=sandbox),
+            options=options,
             vehicle=vehicle,
             spread=vehicle_spread,
         )
@@ -97,7 +100,6 @@ def _flew_lsy(
     overrides: list[str],
     record: bool,
     options: FlightOptions,
-    sandbox: bool | None,
 ) -> bool:
     """Fly a controller of lsy_drone_racing, told by its file; False if this is none."""
     looks_like = submission is not None or (level or "").endswith(".toml")
@@ -124,10 +126,16 @@ def _flew_lsy(
             f"level {level}: pass the file of a lsy_drone_racing controller, such as "
             "examples/racer_state/racer_state.py"
         )
+    if options.secret:
+        raise InputError(
+            "--secret: levels of lsy_drone_racing draw from 31 bits; use --sandbox "
+            "--set env.seed=-1"
+        )
     from rich.console import Console
 
     from crazyarena.runner.dry_run import results_folder
     from crazyarena.runner.lsy_run import LsyRun, tell
+    from crazyarena.runner.records.report import NOT_ISOLATED
 
     console = Console()
     run = LsyRun(
@@ -137,13 +145,15 @@ def _flew_lsy(
         episodes=episodes or 1,
         seed=seed,
         record=record,
-        sandbox=bool(sandbox) or options.require_sandbox,
+        sandbox=bool(options.sandbox) or options.require_sandbox,
         require_sandbox=options.require_sandbox,
         console=console,
     )
     run.out = results_folder(out, submission, run.level.name)
     result = run.run()
     tell(result, console)
+    if not run.isolated:
+        console.print(NOT_ISOLATED, markup=False, highlight=False, soft_wrap=True)
     console.print(f"Seed {result.seed}. Results in {run.out}", highlight=False, soft_wrap=True)
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)

@@ -87,10 +87,15 @@ class EpisodeResult:
 
 @dataclass
 class TrialResult:
-    """All episodes of a trial."""
+    """All episodes of a trial.
+
+    isolated: the contestant was behind walls. Otherwise it could read what the judge knows and
+    write what the judge says: good for one's own work, not for comparing with others.
+    """
 
     episodes: list[EpisodeResult]
     requested: int
+    isolated: bool = False
 
     @property
     def clean(self) -> bool:
@@ -105,7 +110,8 @@ class TrialResult:
     def score(self) -> dict[str, Any]:
         """The competition's two measures; None where the last episode does not qualify.
 
-        A: flight time of the last episode. B: flight time of all episodes plus learning time.
+        A: flight time of the last episode. B: flight time of all episodes plus learning time, which
+        is the judge's measure of a contestant that is isolated.
         """
         if not self.episodes:
             return {"qualified": False, "A_flight_time": None, "B_total_time": None}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from crazyarena.levels.schema import Level
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.judging.result import EpisodeResult, TrialResult
 
 _OUT_AFTER = 15  # missed ticks in a row, as fly and bench have it by default
@@ -17,7 +18,13 @@ def table(result: TrialResult) -> Any:
     from rich.markup import escape
     from rich.table import Table
 
-    shown = Table(box=box.SIMPLE, header_style="bold", collapse_padding=True, pad_edge=False)
+    shown = Table(
+        box=box.SIMPLE,
+        header_style="bold",
+        collapse_padding=True,
+        pad_edge=False,
+        caption=None if result.isolated else "not isolated",
+    )
     shown.add_column("#", justify="right", no_wrap=True)
     shown.add_column("outcome", overflow="fold", min_width=14)
     for name in ("time s", "gates", "coll.", "viol."):
@@ -28,7 +35,7 @@ def table(result: TrialResult) -> Any:
         c = e.compute_ms
         shown.add_row(
             str(e.index),
-            f"[{style}]{escape(e.why or e.termination)}[/{style}]",
+            f"[{style}]{escape(shown_line(e.why or e.termination))}[/{style}]",
             f"{e.flight_time:.3f}",
             f"{e.gates_passed}/{e.gates}",
             str(e.collisions),
@@ -52,7 +59,7 @@ def score_line(result: TrialResult) -> str:
     return "Score: none, the last episode was not completed without collision and violation"
 
 
-def remarks(result: TrialResult, level: Level, seed: int) -> list[str]:
+def remarks(result: TrialResult, level: Level, seed: int | str) -> list[str]:
     """What a contestant should know of these flights, in plain sentences."""
     found = []
     slow = [e for e in result.episodes if e.steps and e.over_period > _MANY * e.steps]

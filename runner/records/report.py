@@ -15,8 +15,13 @@ from typing import Any
 from crazyarena import __version__
 from crazyarena.levels import dump_level
 from crazyarena.levels.schema import Level
+from crazyarena.plain_text import shown_in
 from crazyarena.runner.judging.result import FORMAT, TrialResult
 
+NOT_ISOLATED = (
+    "Not isolated: the submission could reach its judge. Good for your own work; where results "
+    "count, fly with --require-sandbox."
+)
 _PACKAGES = (
     "numpy",
     "numba",
@@ -73,9 +78,11 @@ def write_result(file: Path, result: TrialResult, origin: dict[str, Any]) -> Non
     document = {
         "format": FORMAT,
         "clean": result.clean,
+        "isolated": result.isolated,
         "requested_episodes": result.requested,
         "score": result.score(),
         "episodes": [episode.as_dict() for episode in result.episodes],
         "provenance": origin,
     }
-    file.write_text(json.dumps(document, indent=2) + "\n")
+    # A contestant's words are in there, and whoever reads it may print them.
+    file.write_text(json.dumps(shown_in(document), indent=2) + "\n")

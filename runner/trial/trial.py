@@ -22,6 +22,7 @@ from crazyarena.errors import InputError
 from crazyarena.levels import dump_level
 from crazyarena.levels.draw import Draw, LevelRandom
 from crazyarena.levels.schema import Level
+from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.judging.referee import Referee, Verdict, observation
@@ -106,6 +107,7 @@ class Trial:
         self._wall = wall if wall is not None else WallClock()
         self._made = self._flown = False
         self._last_endings = _ENDS_RENEWED if self._staging.renews else _ENDS_TRIAL
+        self._thought = 0.0  # s of wall time, by the contestant
 
     def run(self) -> TrialResult:
         """Fly; raises InputError when the controller cannot be constructed."""
@@ -210,12 +212,14 @@ class Trial:
             watch=staging.watch,
             on_verdict=judged,
             on_step=None if on_step is None else lambda time: on_step(index, time),
+            thought_before=self._thought,
         )
         try:
             result, obs = loop.fly(obs)
         except BaseException:
             staging.failed()
             raise
+        self._thought += loop.thought
         staging.end(result, recorder)
         return result, obs
 
@@ -239,7 +243,7 @@ class Trial:
             over_period=0,
             late_ms={},
             skipped_steps=0,
-            error=str(error),
+            error=shown(str(error)),
             phases=self._staging.durations,
         )
 
@@ -250,8 +254,9 @@ class Trial:
             interrupt.asked = True
             return 0.0
         if error is not None:
-            result.error = error
+            result.error = shown(error)
             result.termination = CONTROLLER_ERROR
+        self._thought += seconds
         return seconds
 
     def _recorder(

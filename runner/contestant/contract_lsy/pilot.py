@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from crazyarena.errors import CommandError
+from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.contract_lsy.attribute_dict import level_config
 from crazyarena.runner.contestant.contract_lsy.command_check import checked_command
 from crazyarena.runner.contestant.contract_lsy.dialogue import (
@@ -17,7 +18,9 @@ from crazyarena.runner.contestant.contract_lsy.dialogue import (
     Observation,
 )
 from crazyarena.runner.contestant.contract_lsy.submission import LsySubmission, controller_traceback
+from crazyarena.runner.timing.step_limit import TimeIsUp, bounded
 
+_PATIENCE = 30.0  # s of wall time for one answer
 MAX_POINTS = 1000
 """Of all drawings of a step; more are left out."""
 
@@ -61,8 +64,8 @@ class LsyPilot:
                 answer.command_seconds = time.perf_counter() - begun
                 answer.command = checked_command(command, self._size, question.step)
         except CommandError as error:
-            answer.error = str(error)
-        except KeyboardInterrupt:
+            answer.error = shown(str(error))
+        except (KeyboardInterrupt, TimeIsUp):
             raise
         except BaseException as error:
             answer.error = f"step {question.step}: {where} raised\n{controller_traceback(error)}"
@@ -83,7 +86,7 @@ class LsyPilot:
                     red, green, blue, alpha = colour
                     drawings.append(Drawing(kind, rows, (red, green, blue, alpha), float(size)))
             return drawings
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, TimeIsUp):
             raise
         except BaseException as error:
             # Drawings never decide a flight: it goes on without them.
@@ -98,7 +101,7 @@ class LsyPilot:
         started = time.perf_counter()
         try:
             method()
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, TimeIsUp):
             raise
         except BaseException as error:
             text = f"{name} raised\n{controller_traceback(error)}"
@@ -116,7 +119,20 @@ class LsyInProcess(LsyPilot):
     def __init__(self, submission: LsySubmission) -> None:
         super().__init__(submission)
         self.digest = submission.digest
-        self.description: dict[str, Any] = {"process": "that of the runner", "sandbox": []}
+        self.description: dict[str, Any] = {
+            "process": "that of the runner",
+            "isolated": False,
+            "sandbox": [],
+        }
+
+    def ask(self, question: LsyQuestion) -> LsyAnswer:
+        """As there; interrupted when it does not return in time."""
+        try:
+            with bounded(_PATIENCE):
+                return super().ask(question)
+        except TimeIsUp as late:
+            text = f"step {question.step}: no answer within {_PATIENCE:g} s of wall time"
+            return LsyAnswer(question.step, error=f"{text}\n{controller_traceback(late)}")
 
 
 def fresh(obs: Observation) -> Observation:

@@ -22,10 +22,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from crazyarena.bounded_read import check_code
 from crazyarena.errors import InputError
+from crazyarena.plain_text import shown
 
 NAMES = Path(__file__).parent / "names"
 _PACKAGE = "lsy_drone_racing"
+_MOST_TEXT = 48 * 1024  # characters of a traceback
 # Ours even where the originals are installed: those want a simulation that is not there.
 _OURS = (_PACKAGE, "crazyflow")
 _STAND_INS = ("drone_models", "gymnasium")
@@ -36,6 +39,7 @@ _MODEL = "CRAZYARENA_DRONE_MODEL"
 def _controllers(file: Path) -> list[str]:
     """Names of classes in a file that say they derive from lsy_drone_racing's Controller."""
     try:
+        check_code(file)
         tree = ast.parse(file.read_bytes(), filename=str(file))
     except (OSError, SyntaxError, ValueError):
         return []
@@ -83,7 +87,12 @@ def bundle_root(file: Path) -> Path:
 
 
 def controller_hash(file: Path) -> str:
-    """SHA-256 over the Python files beside a controller, and itself."""
+    """SHA-256 over the Python files beside a controller, and itself.
+
+    Raises InputError for one that is too large to be code.
+    """
+    for code in (file, *file.parent.glob("*.py")):
+        check_code(code)
     digest = hashlib.sha256(file.read_bytes())
     for other in sorted(file.parent.glob("*.py")):
         digest.update(other.name.encode() + b"\0" + hashlib.sha256(other.read_bytes()).digest())
@@ -235,4 +244,4 @@ def controller_traceback(error: BaseException) -> str:
     ]
     lines = ["Traceback (most recent call last):\n", *traceback.format_list(frames)]
     lines += traceback.format_exception_only(type(error), error)
-    return "".join(lines).rstrip()
+    return shown("".join(lines), _MOST_TEXT).rstrip()

@@ -31,7 +31,8 @@ class Box:
     root: holds all of it. files: what the contestant may change, and in it
         submission: the copy, a folder or a .py file; work: where the contestant runs;
         home, tmp: for HOME and TMPDIR. given: empty, where ``files`` can be seen when a file
-        system of the contestant's own lies over it. output: what it prints.
+        system of the contestant's own lies over it; root, empty, is where a root of its own is
+        made. output: what it prints.
     size, count: bytes on disk and number of the files and folders that it is given.
     """
 
@@ -43,6 +44,7 @@ class Box:
         try:
             self.files = self._folder("files")
             self.given = self._folder("given")
+            self._folder("root")
             self.work, self.home, self.tmp = (
                 self._folder(f"files/{name}") for name in ("work", "home", "tmp")
             )
@@ -67,7 +69,8 @@ class Box:
         # The name of the folder counts: entries import themselves by it.
         target = self._folder("files/copy") / source.name
         target.mkdir()
-        files = source.glob("*.py") if single else _files(source)
+        # What lies beside a single file is somebody else's.
+        files = [entry] if single else _files(source)
         size = 0
         for file in files:
             # A link could make the runner, who may read everything, copy something secret.

@@ -24,7 +24,7 @@ from crazyarena.runner.contestant.dialogue import Answer
 MAX_TEXT = 48 * 1024
 MAX_PACKET = MAX_TEXT + 64
 
-READY, PID, MADE, ANSWER, FAILED, HOOKED = b"R", b"P", b"M", b"A", b"E", b"H"
+READY, PID, MADE, ANSWER, FAILED, HOOKED, LEARNED = b"R", b"P", b"M", b"A", b"E", b"H", b"T"
 LSY = b"L"
 _ARGS = 13
 _ANSWER = struct.Struct(f"<cqbdd{_ARGS}d")
@@ -43,7 +43,7 @@ class ChannelError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A message with words in it: ready (what is in force), made, failed or hooked."""
+    """A message with words in it: ready (what is in force), made, failed, hooked or learned."""
 
     kind: bytes
     number: int
@@ -69,27 +69,31 @@ def encode_text(kind: bytes, text: str, number: int = 0, seconds: float = 0.0) -
     return _TEXT.pack(kind, number, seconds, 0.0) + data
 
 
-def encode_answer(answer: Answer) -> bytes:
+def encode_answer(answer: Answer, ticket: int | None = None) -> bytes:
+    """``ticket``: what the question is known by on the channel; the number of its step if none."""
+    number = answer.step if ticket is None else ticket
     if answer.error is not None:
-        return encode_text(FAILED, answer.error, answer.step, answer.seconds)
+        return encode_text(FAILED, answer.error, number, answer.seconds)
     verb, args = _NO_COMMAND, [0.0] * _ARGS
     if answer.asked is not None:
         verb = answer.asked.verb
         values = _arguments(answer.asked.command)
         args[: len(values)] = values
-    return _ANSWER.pack(
-        ANSWER, answer.step, verb, answer.command_seconds, answer.learn_seconds, *args
-    )
+    return _ANSWER.pack(ANSWER, number, verb, answer.command_seconds, answer.learn_seconds, *args)
 
 
-def encode_lsy(answer: LsyAnswer) -> bytes:
-    """An answer of a controller of lsy_drone_racing; drawings that have no room are left out."""
+def encode_lsy(answer: LsyAnswer, ticket: int | None = None) -> bytes:
+    """An answer of a controller of lsy_drone_racing; drawings that have no room are left out.
+
+    ``ticket``: as for :func:`encode_answer`.
+    """
+    number = answer.step if ticket is None else ticket
     if answer.error is not None:
-        return encode_text(FAILED, answer.error, answer.step, answer.seconds)
+        return encode_text(FAILED, answer.error, number, answer.seconds)
     command = [] if answer.command is None else answer.command.tolist()
     args = command + [0.0] * (_ARGS - len(command))
     times = answer.command_seconds, answer.callback_seconds
-    packet = _LSY.pack(LSY, answer.step, len(command), answer.finished, *times, *args)
+    packet = _LSY.pack(LSY, number, len(command), answer.finished, *times, *args)
     for drawing in answer.drawings:
         kind = _DRAWN_KINDS.get(drawing.kind, b"p")
         head = _DRAWN.pack(kind, len(drawing.points), *drawing.rgba, drawing.size)
@@ -185,7 +189,7 @@ def decode(packet: bytes) -> Message:
         return Answer(step, asked, None, 0.0, max(0.0, command_seconds), max(0.0, learn_seconds))
     if kind == LSY and len(packet) >= _LSY.size:
         return _decode_lsy(packet)
-    if kind in (READY, MADE, FAILED, HOOKED, PID) and len(packet) >= _TEXT.size:
+    if kind in (READY, MADE, FAILED, HOOKED, LEARNED, PID) and len(packet) >= _TEXT.size:
         _, number, seconds, _ = _TEXT.unpack_from(packet)
         if not math.isfinite(seconds):
             raise ChannelError("a message with a time that is not finite")

@@ -44,7 +44,7 @@ ZERO = np.zeros(3)
 @pytest.fixture
 def swarm(tmp_path, monkeypatch):
     """Factory of guarded swarms of two vehicles; they are closed in the end."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("CRAZYARENA_RUNTIME_DIR", str(tmp_path))
     made = []
 
     def make(guard="--guard level0", flags="--sim", yaml=TWO, api=crazyswarm1):
@@ -211,7 +211,7 @@ def test_emergency_stop_from_another_shell(swarm):
 
 
 def _folder():
-    return Path(os.environ["XDG_RUNTIME_DIR"]) / f"crazyarena-{os.getuid()}"
+    return Path(os.environ["CRAZYARENA_RUNTIME_DIR"]) / f"crazyarena-{os.getuid()}"
 
 
 def test_interrupt_lands(swarm):

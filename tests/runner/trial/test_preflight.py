@@ -28,7 +28,7 @@ class Called:
     def __init__(self, folder, stage, *options, uris=None, runtime=None):
         self.report = folder / "preflight.json"
         pairs = uris or [f"cf{i + 1}={uri}" for i, uri in enumerate(stage.uris)]
-        self.environment = {**os.environ, "XDG_RUNTIME_DIR": str(runtime or folder)}
+        self.environment = {**os.environ, "CRAZYARENA_RUNTIME_DIR": str(runtime or folder)}
         waived = [word for name in MACHINE for word in ("--waive", name)]
         self._process = subprocess.Popen(
             [sys.executable, "-m", "crazyarena", "preflight", "--mocap", "zenoh",
@@ -198,7 +198,7 @@ def test_fly_asks_the_same_and_records_what_is_waived(tmp_path):
             [sys.executable, "-m", "crazyarena", "fly", str(entry), "--uri", stage.uris[0],
              "--mocap", "zenoh", "--mocap-host", stage.endpoint, "--yes", "--out", str(out),
              "--no-figure", "--waive", "disk", *options],
-            env={**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)},
+            env={**os.environ, "CRAZYARENA_RUNTIME_DIR": str(tmp_path)},
             stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120,
         )  # fmt: skip
 
