@@ -176,7 +176,7 @@ class Controller:
 @pytest.mark.parametrize("seconds", [4.6, 4.65, 4.7])
 def test_a_run_that_ends_towards_the_fence_is_brought_home(tmp_path, yaw, seconds):
     entry = tmp_path / "swing.py"
-    entry.write_text(TOWARDS_THE_FENCE.format(goal=2.9, yaw=yaw))
+    entry.write_text(TOWARDS_THE_FENCE.format(goal=2.87, yaw=yaw))
     overrides = [*EMPTY, "start.position=[0, 1.5, 0.03]", "goal.position=[2, 2, 1]"]
     result = fly(tmp_path, overrides=[*overrides, f"episode_length={seconds}"], entry=entry)
     for episode in result.episodes:
