@@ -85,14 +85,17 @@ def read(file: Path) -> Recording:
         schema = found.schemas.get(channel.schema_id)
         messages = found.payloads.get(number, [])
         if topic == "event":
-            events = [_event(data, f"{file}: event {i}") for i, data in enumerate(messages)]
+            events = [
+                _event(data, f"{file}: topic /event: message {i}")
+                for i, data in enumerate(messages)
+            ]
         elif schema is None and channel.schema_id == 0:
             continue  # of another program
         elif schema is None:
-            raise InputError(f"{file}: topic {topic}: its schema {channel.schema_id} is missing")
+            raise InputError(f"{file}: topic /{topic}: its schema {channel.schema_id} is missing")
         elif channel.message_encoding == "cdr" and schema.name.startswith("crazyarena/"):
-            names = _columns(schema.data, f"{file}: topic {topic}")
-            tables[topic] = _table(messages, len(names), f"{file}: topic {topic}")
+            names = _columns(schema.data, f"{file}: topic /{topic}")
+            tables[topic] = _table(messages, len(names), f"{file}: topic /{topic}")
             columns[topic] = names
     return Recording(tables, columns, events, found.metadata, found.complete)
 

@@ -1,7 +1,7 @@
 """The records of an MCAP file that may come from anywhere, or be cut short.
 
-Damage ends the reading, as where a dying process stopped writing; what asks for far more than it
-holds is refused.
+Damage ends the reading, as where a dying process stopped writing: what stands before it is worth
+having. A file with nothing before it is refused.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from crazyarena.errors import InputError
-from crazyarena.mcap_reading import LARGEST, Bomb, chunk_records
+from crazyarena.mcap_reading import LARGEST, Damaged, chunk_records
 from crazyarena.plain_text import shown, shown_line
 
 _MOST_BYTES = 4 * 2**30  # of a file, and of what it unpacks to
@@ -57,16 +57,13 @@ def read_records(file: Path) -> Records:
             reader = StreamReader(stream, emit_chunks=True, record_size_limit=LARGEST)
             try:
                 reading.take(reader.records)
-            except Bomb as error:
-                raise InputError(f"{file}: byte {stream.tell()}: {error}") from None
-            except InputError:
-                raise
             except Exception as error:
                 # The reader stops with all sorts of errors where a dying process stopped writing.
                 if not reading.found.channels:
-                    where = f"{file}: byte {stream.tell()}"
                     reason = shown_line(str(error) or type(error).__name__)
-                    raise InputError(f"{where}: not an MCAP recording: {reason}") from None
+                    raise InputError(
+                        f"{file}: not an MCAP recording: {reason} (up to byte {stream.tell()})"
+                    ) from None
     except OSError as error:
         raise InputError(f"{file}: cannot read it: {error.strerror or error}") from None
     return reading.found
@@ -85,7 +82,7 @@ class _Reading:
         for record in records:
             self._count += 1
             if self._count > _MOST_RECORDS:
-                raise Bomb(f"more than {_MOST_RECORDS} records")
+                raise Damaged(f"more than {_MOST_RECORDS} records")
             if isinstance(record, Schema):
                 found.schemas[record.id] = record
             elif isinstance(record, Channel):
@@ -93,10 +90,10 @@ class _Reading:
             elif isinstance(record, Message):
                 found.payloads.setdefault(record.channel_id, []).append(record.data)
             elif isinstance(record, Chunk):
+                self.take(chunk_records(record))
                 self._unpacked += record.uncompressed_size
                 if self._unpacked > _MOST_BYTES:
-                    raise Bomb(f"unpacks to more than {_MOST_BYTES // 2**30} GiB")
-                self.take(chunk_records(record))
+                    raise Damaged(f"unpacks to more than {_MOST_BYTES // 2**30} GiB")
             elif isinstance(record, Metadata) and record.name == "crazyarena":
                 found.metadata.update({shown(k): shown(v) for k, v in record.metadata.items()})
             elif isinstance(record, DataEnd):

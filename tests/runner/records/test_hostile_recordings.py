@@ -101,10 +101,15 @@ def test_a_bomb(tmp_path, kind, told):
                 writer.write(bytes(1 << 20))
     else:
         out.write(pack(bytes(64 << 20)))
-    bomb = good() + chunk(out.getvalue(), kind, told)
-    words = refused(tmp_path, bomb)
+    bomb = chunk(out.getvalue(), kind, told)
+    words = refused(tmp_path, head() + bomb)
     assert "unpack" in words
     assert "byte " in words
+    # What stands before it is worth having.
+    (tmp_path / "flight.mcap").write_bytes(good() + bomb)
+    recording = export.read(tmp_path / "flight.mcap")
+    assert len(recording.tables["state"]) == 2
+    assert not recording.complete
 
 
 @pytest.mark.parametrize(
@@ -119,11 +124,17 @@ def test_a_bomb(tmp_path, kind, told):
         (head() + channel(of=7), "schema 7 is missing"),
         (good() + message(row(0, 1)), "message 2 has 20 bytes"),
         (good() + message(b""), "message 2 has 0 bytes"),
-        (head() + channel("/event", "json", of=0) + message(b"\xff"), "event 0"),
-        (head() + channel("/event", "json", of=0) + message(b"[" * 99_999), "event 0"),
-        (head() + channel("/event", "json", of=0) + message(b"{}"), "event 0"),
-        (head() + channel("/event", "json", of=0) + message(b"3"), "event 0"),
-        (head() + channel("/event", "json", of=0) + message(event(tick="x")), "event 0"),
+        (head() + channel("/event", "json", of=0) + message(b"\xff"), "topic /event: message 0"),
+        (
+            head() + channel("/event", "json", of=0) + message(b"[" * 99_999),
+            "topic /event: message 0",
+        ),
+        (head() + channel("/event", "json", of=0) + message(b"{}"), "topic /event: message 0"),
+        (head() + channel("/event", "json", of=0) + message(b"3"), "topic /event: message 0"),
+        (
+            head() + channel("/event", "json", of=0) + message(event(tick="x")),
+            "topic /event: message 0",
+        ),
     ],
 )
 def test_what_is_wrong_is_said(tmp_path, data, words):
