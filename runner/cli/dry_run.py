@@ -53,6 +53,14 @@ def dry_run(
     vehicle_spread: VehicleSpread = None,
     options: FlightOptions,
     sandbox: Sandbox = None,
+    margins: Annotated[
+        bool,
+        typer.Option(
+            "--margins",
+            help="Find the largest rotor lag, drag, weakness, camera latency and noise with which "
+            "the flight is still completed (arena levels; some 50 flights).",
+        ),
+    ] = False,
 ) -> None:
     """Fly a submission in simulation and judge it by the competition's rules.
 
@@ -60,6 +68,15 @@ def dry_run(
     2 when the level or the submission is at fault before anything has flown.
     """
     with bad_input_exits():
+        if margins:
+            from crazyarena.runner.cli.margins import show
+
+            completed = show(
+                submission, level, set_ or [], seed, out, replace(options, sandbox=sandbox), vehicle
+            )
+            if completed:
+                return
+            raise typer.Exit(EXIT_NOT_CLEAN)
         from crazyarena.runner.dry_run import DryRun
 
         run = DryRun(
