@@ -7,6 +7,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -180,14 +181,7 @@ class RadioBackend:
         if latest.link_quality is None:
             loss = link.pings.summary()[0]
             if loss is not None:
-                return Telemetry(
-                    latest.timestamp,
-                    latest.battery,
-                    1.0 - loss,
-                    latest.rssi,
-                    latest.supervisor,
-                    latest.state,
-                )
+                return replace(latest, link_quality=1.0 - loss)
         return latest
 
     def get_param(self, vehicle: int, name: str) -> float:

@@ -213,7 +213,7 @@ class TelemetryReader:
 
     def _update(self, **changes: Any) -> None:
         with self._lock:
-            self._last = replace(old, **changes)
+            self._last = replace(self._last, **changes)
 
     def _motion(self, values: Mapping[str, float]) -> None:
         now = self._clock.now()
