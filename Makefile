@@ -2,9 +2,10 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
-PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# Versions that were tried together; what is not in the list is free.
+PIP    := $(BIN)/python -m pip install --disable-pip-version-check -c requirements.lock
 
-.PHONY: dry-run test slow lint types bench clean
+.PHONY: dry-run test slow lint types bench lock clean
 
 # Set up and fly the example controller through level 0. More: make dry-run ARGS="--level level3"
 dry-run: $(VENV)/run.stamp
@@ -44,6 +45,10 @@ $(VENV)/run.stamp: pyproject.toml | $(BIN)/python
 $(VENV)/dev.stamp: pyproject.toml | $(BIN)/python
 	$(PIP) -e '.[dev]'
 	@touch $@ $(VENV)/run.stamp
+
+# Pin the versions again; needs uv.
+lock:
+	uv pip compile --universal --quiet --no-header pyproject.toml --extra dev --extra all -o requirements.lock
 
 clean:
 	rm -rf $(VENV) build .pytest_cache .mypy_cache .ruff_cache

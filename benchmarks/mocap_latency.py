@@ -1,10 +1,12 @@
 """Latency from publication of a pose frame to the estimator's callback, over loopback.
 
-Two chains, each with the publisher in a process of its own:
+Chains, each with the publisher in a process of its own:
 
 * zenoh: ZenohPublisher, zenoh session, ZenohSource, estimator, callback;
-* qualisys: QualisysServer (QTM real-time protocol), the real ``motioncapture`` client in its
-  helper process, MotionCaptureSource, estimator, callback.
+* qualisys, natnet: QualisysServer or NatNetServer, the real ``motioncapture`` client in its helper
+  process, MotionCaptureSource, estimator, callback;
+* vrpn: VrpnServer, which sends each body by itself, VrpnSource, which makes frames of them,
+  estimator, callback; vrpn-package: the same through the ``motioncapture`` client, which polls.
 
 Run ``python benchmarks/mocap_latency.py [--seconds 20] [--rate 300] [--bodies 10]``.
 """
@@ -25,17 +27,21 @@ import numpy as np
 from crazyarena.clock import WallClock
 from crazyarena.mocap.estimator import PoseEstimator
 from crazyarena.mocap.motioncapture_source import MotionCaptureSource
+from crazyarena.mocap.natnet_server import NatNetServer
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.mocap.serve import circling
 from crazyarena.mocap.source import PoseSource
 from crazyarena.mocap.stamps import HostStamps, host_time
 from crazyarena.mocap.vendor_server import QualisysServer
+from crazyarena.mocap.vrpn_server import VrpnServer
+from crazyarena.mocap.vrpn_source import VrpnSource
 from crazyarena.mocap.zenoh_link import ZenohPublisher, ZenohSource
 from crazyarena.types import Pose, PoseFrame
 
 # A body that nobody flies carries the frame's number in millimetres through protocols whose
 # clients do not show it.
 COUNTER = "counter"
+CHAINS = ("zenoh", "qualisys", "natnet", "vrpn", "vrpn-package")
 
 
 @dataclass(frozen=True)
@@ -69,6 +75,10 @@ def publish(chain: str, port: int, rate: float, seconds: float, bodies: int, lin
     outlet: Any
     if chain == "zenoh":
         outlet = ZenohPublisher(clock, listen=[f"tcp/127.0.0.1:{port}"])
+    elif chain == "natnet":
+        outlet = NatNetServer([*names, COUNTER], port, multicast=True, data_port=port + 1)
+    elif chain.startswith("vrpn"):
+        outlet = VrpnServer([*names, COUNTER], port)
     else:
         outlet = QualisysServer([*names, COUNTER], port)
     link.send("ready")
@@ -102,6 +112,17 @@ def measure(chain: str, rate: float, seconds: float, bodies: int) -> Measurement
     source: PoseSource
     if chain == "zenoh":
         source = ZenohSource(clock, connect=[f"tcp/127.0.0.1:{port}"])
+    elif chain == "vrpn":
+        source = VrpnSource(clock, port=port, stall_after=20.0)
+    elif chain == "vrpn-package":
+        source = MotionCaptureSource(
+            clock, "vrpn", hostname=f"tcp://localhost:{port}", stall_after=20.0
+        )
+    elif chain == "natnet":
+        source = MotionCaptureSource(
+            clock, "optitrack", hostname="127.0.0.1", port_command=port,
+            interface_ip="127.0.0.1", stall_after=20.0,
+        )  # fmt: skip
     else:
         source = MotionCaptureSource(
             clock, "qualisys", hostname="127.0.0.1", port=port, stall_after=20.0
@@ -156,17 +177,17 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--rate", type=float, default=300.0)
     parser.add_argument("--bodies", type=int, default=10)
-    parser.add_argument("--chain", choices=("zenoh", "qualisys"), action="append")
+    parser.add_argument("--chain", choices=CHAINS, action="append")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     print(f"{arguments.bodies} bodies, {arguments.rate:g} Hz, {arguments.seconds:g} s, loopback")
-    for chain in arguments.chain or ("zenoh", "qualisys"):
+    for chain in arguments.chain or CHAINS:
         m = measure(chain, arguments.rate, arguments.seconds, arguments.bodies)
         if arguments.json:
             print(json.dumps(asdict(m)))
         else:
             print(
-                f"{chain:9s} published {m.published}, received {m.received}, "
+                f"{chain:12s} published {m.published}, received {m.received}, "
                 f"in order {m.in_order}, latency ms p50 {m.p50:.2f} p99 {m.p99:.2f} "
                 f"max {m.maximum:.2f} (load average {m.load_average:.1f})"
             )

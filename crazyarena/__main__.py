@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 
 
 def main() -> None:
@@ -12,7 +13,8 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from crazyarena.runner.cli import make_app
 
-    make_app()()
+    # A stop must not wait for what other commands import.
+    make_app(only="estop" if sys.argv[1:2] == ["estop"] else None)()
 
 
 if __name__ == "__main__":

@@ -67,8 +67,9 @@ class Telemetry:
     """Last known health of one vehicle; ``None`` where the link has not told yet.
 
     battery V; link_quality 0..1; rssi dBm (negative); supervisor is the bit field of the
-    firmware's ``supervisor.info``; state is the on-board estimate; motors (4,) are the commands of
-    M1..M4 as shares of full scale; acceleration (3,) g is the specific force in body axes.
+    firmware's ``supervisor.info``; state is the on-board estimate; power_state is ``pm.state``:
+    0 on battery, 1 charging, 2 charged, 3 low, 4 empty; motors (4,) are the commands of M1..M4 as
+    shares of full scale; acceleration (3,) g is the specific force in body axes.
     """
 
     timestamp: float
@@ -77,6 +78,7 @@ class Telemetry:
     rssi: float | None = None
     supervisor: int | None = None
     state: VehicleState | None = None
+    power_state: int | None = None
     motors: Vector | None = None
     acceleration: Vector | None = None
 

@@ -16,6 +16,8 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import CommandError
 
 PIECE_COLUMNS = 33  # duration, then 8 coefficients each for x, y, z, yaw
+LIMIT = 1e5  # m, s, rad, m/s ...: beyond any vehicle, and what firmware is asked to take
+SIMULATED_PIECES = 256  # simulations take more, with a warning
 MEMORY_PIECES = 31  # 4096 bytes of trajectory memory, 132 bytes a piece
 
 
@@ -34,7 +36,9 @@ class _Checker:
     def fail(self, argument: str, found: object, wanted: str) -> None:
         raise CommandError(f"{self.where}: {argument} is {found!r}; it must be {wanted}")
 
-    def number(self, argument: str, value: Any, low: float = -math.inf) -> None:
+    def number(
+        self, argument: str, value: Any, low: float = -math.inf, high: float = LIMIT
+    ) -> None:
         wanted = "a finite number" if low == -math.inf else f"a finite number >= {low:g}"
         try:
             number = float(value)
@@ -42,6 +46,8 @@ class _Checker:
             self.fail(argument, value, wanted)
         if not math.isfinite(number) or number < low:
             self.fail(argument, value, wanted)
+        if abs(number) > high:
+            self.fail(argument, value, f"within ±{high:g}")
 
     def positive(self, argument: str, value: Any) -> None:
         self.number(argument, value)
@@ -59,6 +65,8 @@ class _Checker:
         x, y, z = found = array.tolist()
         if finite and not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
             self.fail(argument, found, "three finite numbers")
+        if finite and not (-LIMIT <= x <= LIMIT and -LIMIT <= y <= LIMIT and -LIMIT <= z <= LIMIT):
+            self.fail(argument, found, f"three numbers within ±{LIMIT:g}")
 
     def byte(self, argument: str, value: Any) -> None:
         try:
@@ -136,12 +144,19 @@ def _upload(k: _Checker, m: c.UploadTrajectory) -> None:
     bad = np.flatnonzero(~np.isfinite(pieces).all(axis=1) | (pieces[:, 0] <= 0))
     if len(bad):
         k.fail(f"piece {bad[0]}", pieces[bad[0]].tolist(), "finite, with a duration > 0")
-    end = int(m.piece_offset) + len(pieces)
-    if end > MEMORY_PIECES:
-        raise CommandError(
-            f"{k.where}: {len(pieces)} pieces at pieceOffset {m.piece_offset} end at piece {end}, "
-            f"but the trajectory memory holds {MEMORY_PIECES} pieces for all trajectories together"
-        )
+    if int(m.piece_offset) + len(pieces) > SIMULATED_PIECES:
+        raise CommandError(f"{k.where}: {beyond_memory(m, SIMULATED_PIECES)}")
+
+
+def beyond_memory(m: c.UploadTrajectory, held: int = MEMORY_PIECES) -> str | None:
+    """What is too much for a memory of ``held`` pieces; None if it fits."""
+    end = int(m.piece_offset) + len(m.pieces)
+    if end <= held:
+        return None
+    return (
+        f"{len(m.pieces)} pieces at pieceOffset {m.piece_offset} end at piece {end}, but the "
+        f"trajectory memory holds {held} pieces for all trajectories together"
+    )
 
 
 def _start(k: _Checker, m: c.StartTrajectory) -> None:
@@ -162,7 +177,7 @@ def check_param_name(who: str, name: Any) -> str:
 
 def _set_param(k: _Checker, m: c.SetParam) -> None:
     check_param_name(k.where, m.name)
-    k.number(f"value of {m.name}", m.value)
+    k.number(f"value of {m.name}", m.value, high=math.inf)
 
 
 def _led(k: _Checker, m: c.SetLed) -> None:

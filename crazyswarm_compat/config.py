@@ -6,16 +6,15 @@ file, the field, what was found and what would be right.
 
 from __future__ import annotations
 
-import math
 import os
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
-import yaml
-
+from crazyarena.crazyswarm_compat.yaml_node import Node, load_yaml
 from crazyarena.errors import InputError
 
 # What Crazyswarm 1 keeps in its launch file rather than in the vehicle list.
@@ -112,116 +111,6 @@ class TypesConfig:
     types: Mapping[str, VehicleType]
     markers: Mapping[str, MarkerConfig]
     dynamics: Mapping[str, DynamicsConfig]
-
-
-class Node:
-    """A value of a YAML document that knows where it stands."""
-
-    def __init__(self, value: Any, source: str, path: str = "") -> None:
-        self.value = value
-        self.source = source
-        self.path = path
-
-    def fail(self, wanted: str) -> InputError:
-        found = "nothing" if self.value is None else repr(self.value)
-        if len(found) > 80:
-            found = found[:77] + "..."
-        where = f"{self.source}: {self.path}" if self.path else self.source
-        return InputError(f"{where}: found {found}; expected {wanted}")
-
-    def get(self, key: object) -> Node:
-        """Child by key (or list index); its value is None when absent."""
-        if isinstance(self.value, Mapping):
-            child = self.value.get(key)
-            path = f"{self.path}.{key}" if self.path else str(key)
-        elif isinstance(self.value, list) and isinstance(key, int):
-            child = self.value[key]
-            path = f"{self.path}[{key}]"
-        else:
-            raise self.fail(f"a mapping with the key '{key}'")
-        return Node(child, self.source, path)
-
-    @property
-    def absent(self) -> bool:
-        return self.value is None
-
-    def mapping(self) -> dict[str, Node]:
-        if not isinstance(self.value, Mapping):
-            raise self.fail("a mapping")
-        return {str(key): self.get(key) for key in self.value}
-
-    def mapping_or_empty(self) -> dict[str, Node]:
-        return {} if self.absent else self.mapping()
-
-    def items(self) -> list[Node]:
-        if not isinstance(self.value, list):
-            raise self.fail("a list")
-        return [self.get(index) for index in range(len(self.value))]
-
-    def number(self, default: float | None = None) -> float:
-        if self.absent and default is not None:
-            return default
-        value = self.value
-        if isinstance(value, str):
-            # YAML 1.1 reads 1e-3 (no dot) as text; configuration files in the field rely on it.
-            try:
-                value = float(value)
-            except ValueError:
-                raise self.fail("a number") from None
-        if isinstance(value, bool):
-            value = float(value)
-        if not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise self.fail("a finite number")
-        return float(value)
-
-    def integer(self, low: int, high: int) -> int:
-        value = self.value
-        if isinstance(value, float) and value.is_integer():
-            value = int(value)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise self.fail(f"a whole number {low}..{high}")
-        return value
-
-    def vector(self) -> tuple[float, float, float]:
-        if not isinstance(self.value, list) or len(self.value) != 3:
-            raise self.fail("three numbers [x, y, z] in metres")
-        x, y, z = (item.number() for item in self.items())
-        return x, y, z
-
-    def text(self) -> str:
-        if not isinstance(self.value, str) or not self.value:
-            raise self.fail("a text")
-        return self.value
-
-    def flag(self, default: bool) -> bool:
-        if self.absent:
-            return default
-        if not isinstance(self.value, bool):
-            raise self.fail("true or false")
-        return self.value
-
-
-def load_yaml(given: str | os.PathLike[str], what: str) -> Node:
-    """Read a ``.yaml`` path (or any path object), else take the text itself as YAML."""
-    if isinstance(given, os.PathLike) or given.rstrip().endswith((".yaml", ".yml")):
-        source = os.fspath(given)
-        try:
-            text = Path(source).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            raise InputError(
-                f"{source}: cannot read the {what}: {reason} (looked in {os.getcwd()})"
-            ) from error
-    else:
-        source, text = f"{what} (given as text)", given
-    try:
-        value = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    except yaml.YAMLError as error:
-        raise InputError(f"{source}: not valid YAML: {error}") from error
-    node = Node(value, source)
-    if not isinstance(value, Mapping):
-        raise node.fail(f"a mapping, as in a {what}")
-    return node
 
 
 def _params(node: Node) -> dict[str, float]:
@@ -373,6 +262,36 @@ def load_types_1(given: str | os.PathLike[str]) -> TypesConfig:
     return TypesConfig(types, markers, dynamics)
 
 
+class _Problem(NamedTuple):
+    text: str
+    refused: bool
+
+
+def _id_of(uri: str, name: str, others: Sequence[VehicleConfig]) -> tuple[int, _Problem | None]:
+    """Number by which a vehicle goes: the last byte of its address, where that is free."""
+    number = int(uri[-2:], 16)
+    same = [other for other in others if int(str(other.uri)[-2:], 16) == number]
+    for other in same:
+        if _link_of(str(other.uri)) == _link_of(uri):
+            return number, _Problem(f"a link of its own; {other.name} has this one", True)
+    if not same:
+        taken = {other.id for other in others}
+        if number not in taken:
+            return number, None
+    free = max(set(range(256)) - {other.id for other in others} - {number})
+    names = ", ".join(other.name for other in same) or "a vehicle before it"
+    return free, _Problem(
+        f"the last byte of its address is that of {names}; {name} goes by number {free} here, and "
+        "crazyfliesById holds the last of them (crazyfliesByName has all)",
+        False,
+    )
+
+
+def _link_of(uri: str) -> str:
+    """What a vehicle hears: a radio link without the dongle; cflib's default rate is 2M."""
+    return uri.partition("://")[2].partition("/")[2] if uri.startswith("radio://") else uri
+
+
 _URI = re.compile(r"^[a-z]+://.*[0-9a-fA-F]{2}$")
 
 
@@ -394,7 +313,7 @@ def load_crazyflies_2(given: str | os.PathLike[str]) -> FleetConfig:
     types = document.get("robot_types").mapping_or_empty()
     common = document.get("all")
     common = Node({}, common.source, common.path) if common.absent else common
-    vehicles, nodes = [], []
+    vehicles: list[VehicleConfig] = []
     for name, node in document.get("robots").mapping().items():
         if not node.get("enabled").flag(True):
             continue
@@ -419,9 +338,14 @@ def load_crazyflies_2(given: str | os.PathLike[str]) -> FleetConfig:
              if not n.absent),
             "world",
         )  # fmt: skip
+        number, problem = _id_of(uri.text(), name, vehicles)
+        if problem is not None:
+            if problem.refused:
+                raise uri.fail(problem.text)
+            warnings.warn(f"{uri.source}: {uri.path}: {problem.text}", stacklevel=3)
         vehicles.append(
             VehicleConfig(
-                id=int(uri.text()[-2:], 16),
+                id=number,
                 name=name,
                 initial_position=node.get("initial_position").vector(),
                 uri=uri.text(),
@@ -442,8 +366,6 @@ def load_crazyflies_2(given: str | os.PathLike[str]) -> FleetConfig:
                 vehicle=_vehicle(node, kind, common, document),
             )
         )
-        nodes.append(node)
-    _unique_ids(vehicles, nodes)
     repeats = common.get("broadcasts")
     repeats = Node({}, repeats.source, repeats.path) if repeats.absent else repeats
     count = repeats.get("num_repeats")
@@ -454,6 +376,12 @@ def load_crazyflies_2(given: str | os.PathLike[str]) -> FleetConfig:
         broadcast_delay=repeats.get("delay_between_repeats_ms").number(1.0) / 1e3,
         guard=_guard(document),
     )
+
+
+def load_crazyflies(given: str | os.PathLike[str]) -> FleetConfig:
+    """Read the vehicle list of either generation: ``robots`` make it one of Crazyswarm2."""
+    document = load_yaml(given, "crazyflies.yaml")
+    return load_crazyflies_1(given) if document.get("robots").absent else load_crazyflies_2(given)
 
 
 def _guard(document: Node) -> str | None:

@@ -20,9 +20,10 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.checks import check
 from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
-from crazyarena.crazyswarm_compat.guard import FleetGuard
+from crazyarena.crazyswarm_compat.guard import FleetGuard, FlightEnded
 from crazyarena.crazyswarm_compat.hardware import PoseFeed, land_flying, start_hardware
-from crazyarena.crazyswarm_compat.registry import open_backend, open_guard
+from crazyarena.crazyswarm_compat.options import warn
+from crazyarena.crazyswarm_compat.registry import open_backend, open_guard, open_lookout
 from crazyarena.errors import BackendError, CommandError
 from crazyarena.types import VehicleContact, VehicleState
 
@@ -191,10 +192,17 @@ class FleetCore:
         self._backend: Backend = guard or link
         self.guard = guard
         self._feed: PoseFeed | None = None
+        self._time_helper = timeHelper
         self.crazyflies = list(vehicles)
         self.crazyfliesById = VehiclesById((cf.id, cf) for cf in self.crazyflies)
         # A script has no call that ends a fleet, and may keep only one of its vehicles: the
         # link is released at exit, unless it has gone before. A guard stays to the end.
+        report = getattr(link, "script_report", None)
+        self._report = None if report is None else report(guard is not None)
+        if self._report is not None:
+            # Registered first, so that it has the last word.
+            atexit.register(self._report.exit)
+            timeHelper.while_sleeping(self._report.check)
         if guard is None:
             atexit.register(_close, weakref.ref(link))
         else:
@@ -205,11 +213,29 @@ class FleetCore:
         check(command, EVERYBODY)
         self._backend.send(command, None)
 
+    def _set_param(self, name: str, value: float) -> None:
+        command = c.SetParam(name, value)
+        check(command, EVERYBODY)
+        for vehicle in self._backend.vehicles:
+            try:
+                self._backend.send(command, vehicle)
+            except FlightEnded:
+                raise
+            except BackendError as error:
+                warn(f"setParam: ignored; {error}")
+
     def _start_hardware(
         self, fleet: FleetConfig, clock: Clock, mocap: str | None, watchdog: bool
     ) -> None:
+        lookout = None
+        if self.guard is None and mocap is not None:
+            bodies = {vehicle.name: vehicle.id for vehicle in fleet.vehicles}
+            lookout = open_lookout(self._link, bodies)
+            self._time_helper.while_sleeping(lookout.check)
         try:
-            self._feed = start_hardware(fleet, self._link, clock, mocap, watchdog, self.guard)
+            self._feed = start_hardware(
+                fleet, self._link, clock, mocap, watchdog, self.guard, lookout
+            )
         except BaseException:
             self.close()
             raise
@@ -232,6 +258,9 @@ class FleetCore:
             self.guard.finish()
         if self._feed is not None:
             self._feed.close()
+        if self._report is not None:
+            atexit.unregister(self._report.exit)
+            self._report.finish()
         self._backend.close()
 
     def emergency(self) -> None:

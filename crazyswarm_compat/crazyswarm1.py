@@ -260,8 +260,9 @@ class CrazyflieServer(FleetCore):
         self._send(c.Stop(groupMask))
 
     def setParam(self, name: str, value: float) -> None:
-        """Set the firmware parameter ``group/name`` of every vehicle."""
-        self._send(c.SetParam(check_param_name(EVERYBODY, name), value))
+        """Set the firmware parameter ``group/name`` of every vehicle; a warning for those
+        without it."""
+        self._set_param(check_param_name(EVERYBODY, name), value)
 
 
 def _load_fleet(given: str | os.PathLike[str], with_types: bool) -> FleetConfig:

@@ -10,7 +10,6 @@ import math
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +36,15 @@ from crazyarena.crazyswarm_compat.crazyswarm1 import Crazyflie as Viewed
 from crazyarena.crazyswarm_compat.hardware import with_uris
 from crazyarena.crazyswarm_compat.joystick import Joystick
 from crazyarena.crazyswarm_compat.options import parse, warn, with_guard_of
+from crazyarena.crazyswarm_compat.ros_like import (
+    NodeLike,
+    Point,
+    PoseMessage,
+    PoseStamped,
+    Quaternion,
+    Record,
+    split_seconds,
+)
 from crazyarena.crazyswarm_compat.timehelper import (
     ExactTimeHelper,
     TimeHelper,
@@ -44,6 +52,7 @@ from crazyarena.crazyswarm_compat.timehelper import (
     make_time_helper,
 )
 from crazyarena.crazyswarm_compat.visualizers import open_visualizer
+from crazyarena.crazyswarm_compat.yaml_node import load_yaml
 from crazyarena.errors import BackendError, InputError
 
 # Where a checkout of Crazyswarm2 keeps the vehicle list, seen from a script or its folder.
@@ -64,64 +73,19 @@ robot_types:
 _INTEGER, _DOUBLE = 2, 3
 
 
-@dataclass(slots=True)
-class Point:
-    """geometry_msgs/Point, m."""
+def _param_types(backend: Backend, vehicle: int) -> dict[str, int]:
+    """Declared ROS types of a vehicle's parameters; none where the backend knows no names."""
+    names = getattr(backend, "param_names", None)
+    if names is None:
+        return {}
+    whole = getattr(backend, "param_is_whole", None)
 
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
+    def is_whole(name: str) -> bool:
+        if whole is not None:
+            return bool(whole(vehicle, name))
+        return isinstance(backend.get_param(vehicle, name), int)
 
-
-@dataclass(slots=True)
-class Quaternion:
-    """geometry_msgs/Quaternion."""
-
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
-    w: float = 1.0
-
-
-@dataclass(slots=True)
-class PoseMessage:
-    """geometry_msgs/Pose."""
-
-    position: Point = field(default_factory=Point)
-    orientation: Quaternion = field(default_factory=Quaternion)
-
-
-@dataclass(slots=True)
-class Stamp:
-    """builtin_interfaces/Time."""
-
-    sec: int = 0
-    nanosec: int = 0
-
-
-@dataclass(slots=True)
-class Header:
-    """std_msgs/Header."""
-
-    stamp: Stamp = field(default_factory=Stamp)
-    frame_id: str = "world"
-
-
-@dataclass(slots=True)
-class PoseStamped:
-    """geometry_msgs/PoseStamped."""
-
-    header: Header = field(default_factory=Header)
-    pose: PoseMessage = field(default_factory=PoseMessage)
-
-
-def _split(seconds: float) -> tuple[int, int]:
-    whole = math.floor(seconds)
-    return whole, math.floor((seconds - whole) * 1e9)
-
-
-def _param_type(value: float) -> int:
-    return _INTEGER if isinstance(value, int) else _DOUBLE
+    return {name: _INTEGER if is_whole(name) else _DOUBLE for name in names(vehicle)}
 
 
 class Crazyflie(VehicleCore):
@@ -131,45 +95,57 @@ class Crazyflie(VehicleCore):
     ``pose`` and ``position`` (list of 3, m) are refreshed while the script sleeps.
     """
 
-    def __init__(self, backend: Backend, config: VehicleConfig, timeHelper: Any) -> None:
+    def __init__(
+        self,
+        backend: Backend,
+        config: VehicleConfig,
+        timeHelper: Any,
+        link: Backend | None = None,
+    ) -> None:
         super().__init__(backend, config, timeHelper)
+        self._link = link or backend
         self.prefix = f"/{config.name}"
         self.uri = config.uri
-        self.status: dict[str, Any] = {}
+        self.status: dict[str, Any] = Record()
         self.poseStamped = PoseStamped()
-        self.pose = self.poseStamped.pose
+        self.pose = Record()
         self.position: list[float] = [0.0, 0.0, 0.0]
         self._frame = config.reference_frame
 
     def _spin(self) -> None:
         """Take over what the link has reported since the last sleep."""
         telemetry = self._backend.telemetry(self.id)
-        sec, nanosec = _split(telemetry.timestamp)
-        self.status = {
-            "id": self.id,
-            "timestamp_sec": sec,
-            "timestamp_nsec": nanosec,
-            "supervisor": telemetry.supervisor or 0,
-            "battery": telemetry.battery if telemetry.battery is not None else math.nan,
-            "pm_state": 0,
-            "rssi": -telemetry.rssi if telemetry.rssi is not None else math.nan,
-            "num_rx_broadcast": 0,
-            "num_tx_broadcast": 0,
-            "num_rx_unicast": 0,
-            "num_tx_unicast": 0,
-        }
+        sec, nanosec = split_seconds(max(0.0, telemetry.timestamp))
+        self.status = Record(
+            id=self._frame,
+            timestamp_sec=sec,
+            timestamp_nsec=nanosec,
+            supervisor=telemetry.supervisor or 0,
+            battery=telemetry.battery if telemetry.battery is not None else math.nan,
+            pm_state=telemetry.power_state or 0,
+            rssi=-telemetry.rssi if telemetry.rssi is not None else math.nan,
+            num_rx_broadcast=0,
+            num_tx_broadcast=0,
+            num_rx_unicast=0,
+            num_tx_unicast=0,
+        )
         if telemetry.state is None:
             return
         state = telemetry.state
         self.position = [float(value) for value in state.position]
-        sec, nanosec = _split(state.timestamp)
-        self.poseStamped = PoseStamped(
-            Header(Stamp(sec, nanosec), self._frame),
-            PoseMessage(
-                Point(*self.position), Quaternion(*(float(value) for value in state.quaternion))
-            ),
+        sec, nanosec = split_seconds(state.timestamp)
+        pose = PoseMessage(
+            Point(*self.position), Quaternion(*(float(value) for value in state.quaternion))
         )
-        self.pose = self.poseStamped.pose
+        self.poseStamped = PoseStamped(
+            id=self._frame, timestamp_sec=sec, timestamp_nsec=nanosec, pose=pose
+        )
+        self.pose = Record(position=pose.position, orientation=pose.orientation)
+
+    @property
+    def paramTypeDict(self) -> dict[str, int]:
+        """Declared ROS types of the parameters, ``group.name``: 2 integer, 3 double."""
+        return _param_types(self._link, self.id)
 
     def emergency(self) -> None:
         """Cut the motors; further commands are ignored until reboot."""
@@ -191,12 +167,17 @@ class Crazyflie(VehicleCore):
     def setParam(self, name: str, value: float) -> None:
         """Set the parameter ``group.name``, cast to its declared type."""
         dotted = check_param_name(self._name, name)
+        whole = getattr(self._link, "param_is_whole", None)
         try:
-            declared = self._backend.get_param(self.id, dotted)
+            is_whole = (
+                isinstance(self._backend.get_param(self.id, dotted), int)
+                if whole is None
+                else whole(self.id, dotted)
+            )
         except BackendError as error:
             warn(f"setParam: {error}")
             return
-        self._send(c.SetParam(dotted, int(value) if isinstance(declared, int) else value))
+        self._send(c.SetParam(dotted, int(value) if is_whole else value))
 
     def cmdHover(self, vx: float, vy: float, yaw_rate: float, z_distance: float) -> None:
         """Stream body velocities m/s, yaw rate rad/s counter-clockwise, absolute height m."""
@@ -206,8 +187,9 @@ class Crazyflie(VehicleCore):
         """Latest status; empty before the first sleep."""
         return self.status
 
-    def get_pose(self) -> PoseMessage:
-        """Latest pose: ``position`` x, y, z and ``orientation`` x, y, z, w."""
+    def get_pose(self) -> Record:
+        """Latest pose: ``["position"]`` with x, y, z and ``["orientation"]`` with x, y, z, w;
+        empty before the first one."""
         return self.pose
 
     def get_position(self) -> list[float]:
@@ -215,8 +197,9 @@ class Crazyflie(VehicleCore):
         return self.position
 
 
-class CrazyflieServer(FleetCore):
-    """The fleet: ``crazyflies``, ``crazyfliesById``, ``crazyfliesByName`` and the broadcasts."""
+class CrazyflieServer(FleetCore, NodeLike):
+    """The fleet: ``crazyflies``, ``crazyfliesById``, ``crazyfliesByName`` and the broadcasts; of
+    a ROS node what needs no ROS."""
 
     def __init__(
         self,
@@ -229,8 +212,12 @@ class CrazyflieServer(FleetCore):
     ) -> None:
         link, guarded = open_fleet(backend, fleet, timeHelper, guard)
         configs = by_config(fleet, link)
-        cfs = [Crazyflie(guarded or link, config, timeHelper) for config in configs]
+        cfs = [Crazyflie(guarded or link, config, timeHelper, link) for config in configs]
         super().__init__(link, guarded, cfs, timeHelper)
+        self._init_node(timeHelper)
+        for config, cf in zip(configs, self.crazyflies, strict=True):
+            # Upstream's key; the last of several with the same last byte of the address.
+            self.crazyfliesById[int(str(config.uri)[-2:], 16)] = cf
         self.crazyfliesByName = {
             config.name: cf for config, cf in zip(configs, self.crazyflies, strict=True)
         }
@@ -242,16 +229,13 @@ class CrazyflieServer(FleetCore):
             self._start_hardware(fleet, timeHelper.clock, mocap, watchdog)
 
     @property
-    def paramTypeDict(self) -> dict[str, dict[str, int]]:
-        """Declared ROS types of the parameters by vehicle name: 2 integer, 3 double."""
-        names = getattr(self._link, "param_names", None)
-        if names is None:
-            return {}
+    def paramTypeDict(self) -> dict[str, int]:
+        """Declared ROS types of the parameters that all vehicles have: 2 integer, 3 double."""
+        each = [_param_types(self._link, cf.id) for cf in self.crazyflies]
         return {
-            name: {
-                param: _param_type(self._backend.get_param(cf.id, param)) for param in names(cf.id)
-            }
-            for name, cf in self.crazyfliesByName.items()
+            name: kind
+            for name, kind in (each[0] if each else {}).items()
+            if all(other.get(name) == kind for other in each)
         }
 
     def _spin(self) -> None:
@@ -263,8 +247,8 @@ class CrazyflieServer(FleetCore):
         self._send(c.Arm(bool(arm)))
 
     def setParam(self, name: str, value: float) -> None:
-        """Set the parameter ``group.name`` of every vehicle."""
-        self._send(c.SetParam(check_param_name(EVERYBODY, name), value))
+        """Set the parameter ``group.name`` of every vehicle; a warning for those without it."""
+        self._set_param(check_param_name(EVERYBODY, name), value)
 
     def cmdFullState(
         self, pos: ArrayLike, vel: ArrayLike, acc: ArrayLike, yaw: float, omega: ArrayLike
@@ -296,6 +280,7 @@ class Crazyswarm:
         parsed = parse(args, None)
         fleet = load_crazyflies_2(crazyflies_yaml or parsed.crazyflies_yaml or _find(parsed.sim))
         parsed = with_guard_of(parsed, fleet)
+        _name_what_is_not_read(fleet, parsed.sim)
         self.timeHelper: TimeHelper | WallTimeHelper
         if parsed.sim:
             self.timeHelper = make_time_helper(parsed, open_visualizer(parsed.vis), ExactTimeHelper)
@@ -312,6 +297,30 @@ class Crazyswarm:
             parsed.guard,
         )
         self.input = Joystick(self.timeHelper)
+
+
+def _name_what_is_not_read(fleet: FleetConfig, sim: bool) -> None:
+    """Say what Crazyswarm2's other files, beside the vehicle list, would have set."""
+    if not fleet.source.endswith((".yaml", ".yml")):
+        return
+    folder = Path(fleet.source).parent
+    if (folder / "server.yaml").is_file():
+        warn(
+            f"{folder / 'server.yaml'} is not read: --backend and --dt say how to simulate, and "
+            "warnings of the link come by themselves",
+            stacklevel=4,
+        )
+    capture = folder / "motion_capture.yaml"
+    if sim or not capture.is_file():
+        return
+    node = load_yaml(capture, "motion_capture.yaml")
+    for key in ("/motion_capture_tracking", "ros__parameters"):
+        node = node.get(key)
+        if node.absent:
+            return
+    kind, host = node.get("type").value, node.get("hostname").value
+    flag = f"--mocap {kind}:{host}" if kind and host else "--mocap SOURCE:HOST"
+    warn(f"{capture} is not read: {flag} names the motion-capture system", stacklevel=4)
 
 
 def _find(sim: bool) -> str | Path:

@@ -80,7 +80,7 @@ class PoseFeed:
         kind, _, host = spec.partition(":")
         options: dict[str, Any] = {}
         if host:
-            options = {"connect": [host]} if kind == "zenoh" else {"hostname": host}
+            options = {"connect": [host]} if kind in ("zenoh", "ros2") else {"hostname": host}
         parts = pose_parts()
         source = parts["open_source"](kind, clock=clock, **options)
         names = {vehicle.name: vehicle.id for vehicle in fleet.vehicles}
@@ -151,11 +151,12 @@ def start_hardware(
     mocap: str | None,
     watchdog: bool,
     guard: FleetGuard | None = None,
+    lookout: Any = None,
 ) -> PoseFeed | None:
     """Feed poses from ``mocap`` and prepare the vehicles; None leaves both to somebody else.
 
     ``watchdog`` arms the onboard emergency-stop watchdog, fed until the link is closed; a
-    ``guard`` arms and feeds it by itself, and gets all poses first.
+    ``guard`` arms and feeds it by itself, and gets all poses first. A ``lookout`` sees every frame.
 
     Raises
     ------
@@ -172,7 +173,7 @@ def start_hardware(
             "prepared for flight"
         )
         return None
-    listeners = () if guard is None else (guard.on_frame,)
+    listeners = tuple(who.on_frame for who in (guard, lookout) if who is not None)
     feed = PoseFeed(mocap, fleet, guard or backend, clock, on_frame=listeners)
     prepare = getattr(backend, "prepare", None)
     try:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, Protocol, runtime_checkable
@@ -102,6 +102,8 @@ POSE_PARTS = {
 }
 # The arena's safety around a fleet; called as GuardFactory below.
 GUARD = "crazyarena.runner.rig.guarded:open_guard"
+# What looks at vehicles that nobody guards.
+LOOKOUT = "crazyarena.safety.lookout:open_lookout"
 SIMULATED = frozenset({"ideal", "sim", "pybullet"})  # these run on a virtual clock
 
 
@@ -140,6 +142,12 @@ def open_guard(arena: str, fleet: FleetConfig, link: Backend, clock: Clock) -> F
     module, function = GUARD.split(":")
     factory: GuardFactory = getattr(importlib.import_module(module), function)
     return factory(arena, fleet, link, clock)
+
+
+def open_lookout(link: Backend, bodies: Mapping[str, int]) -> Any:
+    """Watch whether the cameras' headings are the vehicles' (``bodies``: vehicle id by name)."""
+    module, function = LOOKOUT.split(":")
+    return getattr(importlib.import_module(module), function)(link, bodies)
 
 
 def pose_parts() -> dict[str, Any]:

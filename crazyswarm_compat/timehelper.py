@@ -15,6 +15,7 @@ from crazyarena.crazyswarm_compat.visualizers import VisNull
 from crazyarena.errors import CommandError
 
 _RESIDUAL_TOLERANCE = 1e-9
+_SHORTEST = 1e-3  # s
 _SLICE = 0.05  # s, of a real sleep between looks at what might end it
 
 
@@ -38,6 +39,7 @@ class WallTimeHelper:
         self._next = 0.0
         self._after_sleep: list[Callable[[], None]] = []
         self._while_sleeping: list[Callable[[], None]] = []
+        self._due: list[Callable[[], float]] = []
 
     def time(self) -> float:
         """Seconds since the start."""
@@ -47,19 +49,28 @@ class WallTimeHelper:
         """Call ``callback()`` whenever a sleep ends."""
         self._after_sleep.append(callback)
 
-    def while_sleeping(self, callback: Callable[[], None]) -> None:
-        """Call ``callback()`` again and again in a sleep; what it raises ends the sleep."""
+    def while_sleeping(
+        self, callback: Callable[[], None], due: Callable[[], float] | None = None
+    ) -> None:
+        """Call ``callback()`` again and again in a sleep, also at ``due()`` s; what it raises
+        ends the sleep."""
         self._while_sleeping.append(callback)
+        if due is not None:
+            self._due.append(due)
 
     def _sleep_until(self, deadline: float) -> None:
         if self._while_sleeping:
-            while (wake := self.clock.now() + _SLICE) < deadline:
+            while (wake := self._wake()) < deadline:
                 self.clock.sleep_until(wake)
                 self._look()
         self.clock.sleep_until(deadline)
         self._look()
         for callback in self._after_sleep:
             callback()
+
+    def _wake(self) -> float:
+        now = self.clock.now()
+        return min(now + _SLICE, *(max(now + _SHORTEST, due()) for due in self._due), math.inf)
 
     def _look(self) -> None:
         for callback in self._while_sleeping:
@@ -197,8 +208,11 @@ class TimeHelper:
         """Call ``callback()`` whenever a sleep ends."""
         self._after_sleep.append(callback)
 
-    def while_sleeping(self, callback: Callable[[], None]) -> None:
-        """Call ``callback()`` after every step; what it raises ends the sleep."""
+    def while_sleeping(
+        self, callback: Callable[[], None], due: Callable[[], float] | None = None
+    ) -> None:
+        """Call ``callback()`` after every step (so ``due`` is not asked); what it raises ends
+        the sleep."""
         self._while_sleeping.append(callback)
 
     def close(self) -> None:

@@ -6,6 +6,7 @@ follow (Mellinger and Kumar, ICRA 2011). SI units, yaw in rad, world frame.
 
 from __future__ import annotations
 
+import math
 import os
 from itertools import pairwise
 
@@ -111,6 +112,15 @@ class Polynomial4D:
         return out
 
 
+def _is_row(line: str) -> bool:
+    """Whether a first line is a piece already, and no header: all that is there are numbers."""
+    fields = [field for field in line.split(",") if field.strip()]
+    try:
+        return bool(fields) and all(math.isfinite(float(field)) for field in fields)
+    except ValueError:
+        return False
+
+
 class Trajectory:
     """A sequence of :class:`Polynomial4D` pieces; ``duration`` is their sum in s."""
 
@@ -123,7 +133,7 @@ class Trajectory:
         return len(self.polynomials)
 
     def loadcsv(self, filename: str | os.PathLike[str]) -> None:
-        """Read a header line, then rows of duration and 4 x 8 ascending coefficients.
+        """Read rows of duration and 4 x 8 ascending coefficients, with or without a header line.
 
         Further columns (such as an empty one after a trailing comma) are not read.
 
@@ -135,12 +145,12 @@ class Trajectory:
         path = os.fspath(filename)
         try:
             with open(path, encoding="utf-8") as file:
-                lines = file.read().splitlines()[1:]
+                lines = file.read().splitlines()
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{path}: cannot read the trajectory: {error}") from error
         pieces = []
-        for number, line in enumerate(lines, start=2):
-            if not line.strip():
+        for number, line in enumerate(lines, start=1):
+            if not line.strip() or (number == 1 and not _is_row(line)):
                 continue
             fields = line.split(",")[:_COLUMNS]
             if len(fields) < _COLUMNS:

@@ -6,10 +6,10 @@ the draws stay those of a plain loop over ``standard_normal`` and ``random``.
 
 from __future__ import annotations
 
-import numba
+from crazyarena.jit import kernel
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(_nrt=True)
 def fill(rng, out, std, low, span, action, force):
     """Fill rows of ``out`` (n, 7): four normals times ``std``, then three uniforms; see draw.py."""
     for k in range(out.shape[0]):

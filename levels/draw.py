@@ -77,7 +77,7 @@ class LevelRandom:
     Parameters
     ----------
     level: what to draw.
-    seed: replaces the level's own, e.g. for the secret seed of a scoring run.
+    seed: replaces the level's own; of 128 random bits where nobody may guess the draw.
 
     Raises
     ------

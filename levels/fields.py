@@ -127,6 +127,7 @@ _EXPECTED = {
     "model_attributes_type": "a mapping of fields",
     "tuple_type": "a list",
     "enum": "{expected}",
+    "literal_error": "{expected}",
     "greater_than": "a number > {gt}",
     "greater_than_equal": "a number >= {ge}",
     "less_than": "a number < {lt}",

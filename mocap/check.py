@@ -9,17 +9,23 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from crazyarena.mocap.assembly import SAME
+from crazyarena.mocap.axes import recognised_axes
+from crazyarena.mocap.cadence import Cadence
 from crazyarena.mocap.rotations import angle_between
 from crazyarena.mocap.source import SourceState, SourceStatus
 from crazyarena.types import Pose, PoseFrame
+
+# A body that stays within this, m, is at rest.
+_REST = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class CheckLimits:
     """What a healthy arena keeps to.
 
-    min_rate, max_rate: Hz; max_latency: median, s; max_jitter: standard deviation of the
-    intervals as a share of the frame period; max_dropout: share of frames without a body;
+    min_rate, max_rate: Hz, of each body; max_latency: median, s; max_jitter: standard deviation
+    of a body's intervals as a share of its period; max_dropout: share of frames without a body;
     max_noise: standard deviation of a body at rest, m; jump, flip: change between two frames
     that nothing flying can do, m and rad.
     """
@@ -36,22 +42,50 @@ class CheckLimits:
 
 @dataclass(slots=True)
 class BodyReport:
-    """Statistics of one body."""
+    """Statistics of one body.
+
+    rate: how often it comes when nothing is missed, Hz; jitter: standard deviation of those
+    intervals on arrival, s; both nan until it was seen often enough.
+    """
 
     seen: int = 0
     missing: int = 0
+    rate: float = math.nan
+    jitter: float = math.nan
     longest_gap: float = 0.0
     jumps: int = 0
     flips: int = 0
     last: Pose | None = None
     last_time: float = math.nan
-    speed: float = math.nan
+    cadence: Cadence | None = None
     recent: deque[np.ndarray] = field(default_factory=lambda: deque(maxlen=100))
+    # Stride in frames, and intervals of capture and arrival, s.
+    intervals: deque[tuple[int, float, float]] = field(default_factory=lambda: deque(maxlen=5000))
+    last_received: float = math.nan
+
+    def settle(self, frames: int) -> None:
+        """Work out what follows from the sights among the first ``frames`` frames."""
+        if self.cadence is None:
+            self.missing = frames
+            return
+        self.missing = self.cadence.missing(frames)
+        period = self.cadence.period
+        steps = np.array([i[1:] for i in self.intervals if i[0] == period]).reshape(-1, 2)
+        if len(steps) > 1:
+            middle = float(np.median(steps[:, 0]))
+            # Where stamps are made on arrival they come in bursts; their mean does not.
+            mean = float(steps[:, 0].mean())
+            self.rate = 1.0 / mean if mean > 0.0 and middle < 2.0 * mean else math.nan
+            self.jitter = float(steps[:, 1].std())
 
 
 @dataclass(frozen=True, slots=True)
 class CheckReport:
-    """Live figures and verdicts; ``problems`` is empty when all is well."""
+    """Live figures and verdicts; ``problems`` is empty when all is well.
+
+    rate, jitter: of the bodies, Hz and s (the highest rate, the median jitter); of the frames
+    where there are no bodies.
+    """
 
     frames: int
     rate: float
@@ -93,21 +127,24 @@ class MocapCheck:
         self._captured: deque[float] = deque(maxlen=5000)
         self._markers: deque[int] = deque(maxlen=5000)
         self._frames = 0
+        self._instants = 0
 
     def add(self, frame: PoseFrame) -> None:
         """Take one frame."""
         self._frames += 1
+        # A piece that came too late for its frame belongs to the same instant.
+        if not self._captured or frame.timestamp - self._captured[-1] > SAME:
+            self._instants += 1
         self._received.append(frame.received)
         self._captured.append(frame.timestamp)
         self._markers.append(len(frame.markers))
-        for name in frame.bodies:
-            if name not in self._bodies:
-                self._bodies[name] = BodyReport(missing=self._frames - 1)
-        for name, body in self._bodies.items():
-            pose = frame.bodies.get(name)
-            if pose is None:
-                body.missing += 1
-                continue
+        for name, pose in frame.bodies.items():
+            body = self._bodies.setdefault(name, BodyReport())
+            stride = 0
+            if body.cadence is None:
+                body.cadence = Cadence(self._instants - 1)
+            else:
+                stride = body.cadence.note(self._instants - 1)
             if body.last is not None:
                 gap = frame.timestamp - body.last_time
                 step = float(np.linalg.norm(pose.position - body.last.position))
@@ -118,12 +155,12 @@ class MocapCheck:
                         self.limits.flip
                     )
                 body.longest_gap = max(body.longest_gap, gap)
-                if gap > 0:
-                    body.speed = step / gap
+                body.intervals.append((stride, gap, frame.received - body.last_received))
             body.seen += 1
             body.last = pose
             body.last_time = frame.timestamp
-            body.recent.append(pose.position)
+            body.last_received = frame.received
+            body.recent.append(np.concatenate((pose.position, pose.quaternion)))
 
     def report(self, status: SourceStatus, elapsed: float) -> CheckReport:
         """Judge what came in ``elapsed`` s from a source with this ``status``."""
@@ -134,6 +171,14 @@ class MocapCheck:
         rate = (len(received) - 1) / span if span > 0 else 0.0
         # Capture times show the cameras' clock, receive times the network's mood.
         jitter = float(np.diff(received).std()) if len(received) > 2 else 0.0
+        for body in self._bodies.values():
+            body.settle(self._instants)
+        rates = [b.rate for b in self._bodies.values() if math.isfinite(b.rate)]
+        if rates:
+            rate = max(rates)
+            jitter = float(
+                np.median([b.jitter for b in self._bodies.values() if math.isfinite(b.rate)])
+            )
         delay = received - captured
         p50, p99 = np.percentile(delay, (50, 99)).tolist() if len(delay) else (math.nan,) * 2
         problems = []
@@ -175,6 +220,11 @@ class MocapCheck:
                 f"{status.malformed} payloads could not be read ({status.error}); another "
                 "program or version publishes under the same key."
             )
+        if status.foreign:
+            problems.append(
+                f"{status.foreign} frames of another publisher were ignored: two programs publish "
+                "poses under the same key. Stop one, or give each a key of its own."
+            )
         for name in self._expected:
             if self._frames and not self._bodies[name].seen:
                 others = sorted(n for n, b in self._bodies.items() if b.seen)
@@ -184,7 +234,14 @@ class MocapCheck:
                 )
         for name, body in self._bodies.items():
             if body.seen:
-                problems.extend(self._judge(name, body))
+                problems.extend(self._judge(name, body, rate))
+        axes = recognised_axes(self._at_rest())
+        if axes is not None:
+            problems.append(
+                f"What rests here leans, and stands upright only if the stream is {axes}. If it "
+                f"stands on level ground: --option axes={axes}, or stream z up from the camera "
+                "software."
+            )
         return CheckReport(
             self._frames,
             rate,
@@ -198,9 +255,24 @@ class MocapCheck:
             tuple(problems),
         )
 
-    def _judge(self, name: str, body: BodyReport) -> list[str]:
+    def _at_rest(self) -> dict[str, Pose]:
+        """Bodies that have not moved lately."""
+        return {
+            name: body.last
+            for name, body in self._bodies.items()
+            if body.last is not None
+            and len(body.recent) > 20
+            and float(np.ptp(np.array(body.recent)[:, :3], axis=0).max()) < _REST
+        }
+
+    def _judge(self, name: str, body: BodyReport, rate: float) -> list[str]:
         limits = self.limits
         problems = []
+        if body.rate < limits.min_rate <= rate:
+            problems.append(
+                f"{name} comes only {body.rate:.0f} times per second, others {rate:.0f} times; "
+                f"vehicles fly jerkily below {limits.min_rate:.0f}."
+            )
         share = body.missing / (body.seen + body.missing)
         if share > limits.max_dropout:
             problems.append(
@@ -217,8 +289,8 @@ class MocapCheck:
                 f"{name} flipped {body.flips} times; its markers are too symmetric, move one."
             )
         recent = np.array(body.recent)
-        if len(recent) > 20 and float(np.ptp(recent, axis=0).max()) < 0.02:
-            noise = float(recent.std(axis=0).max())
+        if len(recent) > 20 and float(np.ptp(recent[:, :3], axis=0).max()) < _REST:
+            noise = float(recent[:, :3].std(axis=0).max())
             if noise > limits.max_noise:
                 problems.append(
                     f"{name} at rest trembles by {noise * 1e3:.1f} mm; recalibrate the cameras."
@@ -246,8 +318,9 @@ def report_lines(report: CheckReport) -> list[str]:
             else "at " + ", ".join(f"{value:+.3f}" for value in body.last.position)
         )
         lines.append(
-            f"{name}: seen {body.seen}/{total}, longest gap {body.longest_gap * 1e3:.0f} ms, "
-            f"jumps {body.jumps}, flips {body.flips}, {where}"
+            f"{name}: seen {body.seen}/{total}, {body.rate:.1f} Hz, "
+            f"longest gap {body.longest_gap * 1e3:.0f} ms, jumps {body.jumps}, "
+            f"flips {body.flips}, {where}"
         )
     lines.extend(report.problems or ["All is well."])
     return lines

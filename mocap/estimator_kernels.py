@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from crazyarena.jit import kernel
 
 # Columns of a row.
 TIME = 0
@@ -73,7 +74,7 @@ PENDING = 5
 OLD = 6
 FROZEN = 7
 
-_njit = numba.njit(cache=True, nogil=True, error_model="numpy")
+_njit = kernel(_nrt=True)
 
 
 @_njit

@@ -12,6 +12,7 @@ class EventKind(StrEnum):
     SOURCE_LIVE = "source_live"
     SOURCE_STALE = "source_stale"
     SOURCE_RECONNECTED = "source_reconnected"
+    FOREIGN_PUBLISHER = "foreign_publisher"
     FRAMES_LOST = "frames_lost"
     BAD_FRAME = "bad_frame"
     BODY_TRACKED = "body_tracked"

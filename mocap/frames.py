@@ -41,6 +41,16 @@ def points_from_y_up(points: Vector) -> Vector:
     return rotate(_Y_UP, np.asarray(points, dtype=float))
 
 
+def pose_to_y_up(pose: Pose) -> Pose:
+    """Inverse of :func:`pose_from_y_up`."""
+    return _turned_world(pose, conjugate(_Y_UP))
+
+
+def points_to_y_up(points: Vector) -> Vector:
+    """Inverse of :func:`points_from_y_up`."""
+    return rotate(conjugate(_Y_UP), np.asarray(points, dtype=float))
+
+
 def pose_from_z_up(pose: Pose) -> Pose:
     """Vicon, Qualisys and NOKOV set up as usual (z up, right-handed): nothing to do."""
     return pose
@@ -130,3 +140,12 @@ class Convention:
         }
         markers = self.points(frame.markers) if len(frame.markers) else frame.markers
         return replace(frame, bodies=bodies, markers=markers)
+
+
+def chosen_convention(convention: Convention | None, axes: str | None) -> Convention:
+    """The convention that the options of a source name; raises InputError if both do."""
+    if axes is None:
+        return convention or Convention()
+    if convention is not None:
+        raise InputError("mocap axes: the convention has axes of its own; state one of them")
+    return Convention(axes)

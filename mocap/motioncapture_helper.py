@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import math
 import os
 import signal
 import socket
@@ -37,8 +38,14 @@ def _die_with_parent() -> None:
         ctypes.CDLL(None).prctl(set_death_signal, signal.SIGKILL)
 
 
-def main(descriptor: int, vendor: str, options: dict[str, str], latency: float) -> None:
-    """Connect, then forward every frame until the other end is gone."""
+def main(
+    descriptor: int, vendor: str, options: dict[str, str], latency: float, singly: bool
+) -> None:
+    """Connect, then forward every frame until the other end is gone.
+
+    ``singly``: the protocol sends each body by itself; its client polls, and an empty frame
+    says neither that nothing is seen nor that there is a server.
+    """
     out = socket.socket(fileno=descriptor)
     _die_with_parent()
     _silence()
@@ -63,10 +70,12 @@ def main(descriptor: int, vendor: str, options: dict[str, str], latency: float) 
             position = np.array(body.position, dtype=float)
             turn = body.rotation
             quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
-            norm = float(np.sqrt(quaternion @ quaternion))
+            norm = math.hypot(*quaternion.tolist())
             # Some vendors report an unseen body as NaN or as a zero quaternion.
             if np.isfinite(position).all() and 0.5 < norm < 2.0:
                 bodies[name] = Pose(position, quaternion / norm)
+        if singly and not bodies:
+            continue
         payload = encode(frame_id, now - latency, now, host, run, bodies)
         frame_id += 1
         try:
@@ -79,4 +88,10 @@ def main(descriptor: int, vendor: str, options: dict[str, str], latency: float) 
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), sys.argv[2], json.loads(sys.argv[3]), float(sys.argv[4]))
+    main(
+        int(sys.argv[1]),
+        sys.argv[2],
+        json.loads(sys.argv[3]),
+        float(sys.argv[4]),
+        sys.argv[5] == "singly",
+    )

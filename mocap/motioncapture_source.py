@@ -13,7 +13,8 @@ import threading
 
 from crazyarena.clock import Clock
 from crazyarena.errors import DependencyMissing, InputError
-from crazyarena.mocap.frames import Convention
+from crazyarena.mocap.assembly import DEFAULT_WAIT, Assembler, take_assembled
+from crazyarena.mocap.frames import Convention, chosen_convention
 from crazyarena.mocap.source import FrameQueue, SourceState, SourceStatus
 from crazyarena.mocap.stamps import StampReader
 from crazyarena.mocap.wire import PayloadError, decode
@@ -23,6 +24,8 @@ VENDOR_TYPES = (
     "vicon", "qualisys", "optitrack", "optitrack_closed_source", "nokov", "fzmotion",
     "motionanalysis", "vrpn", "mock",
 )  # fmt: skip
+# Protocols that send each body by itself.
+SINGLY = ("vrpn",)
 _LARGEST = 1 << 20
 
 
@@ -39,9 +42,13 @@ class MotionCaptureSource:
     vendor: type name of the package. Which of them work depends on how the installed wheel
         was built; others are reported in ``status.error``.
     latency: known time from exposure to arrival here, s; the package does not tell.
-    convention: axes, units and offsets; None to take poses as they come.
+    convention: axes, units and offsets; None to take poses as they come. axes: ``z-up`` or
+        ``y-up``, short for a convention with these axes only.
     stall_after: silence, s, after which the client is taken for dead. retry_after: pause
         before connecting anew, s.
+    assemble: longest wait, s, for the bodies of one instant
+        (:class:`~crazyarena.mocap.assembly.Assembler`); 0 for none. By default VRPN's are
+        assembled, since it sends each by itself.
     options: passed through under their own names: ``hostname``, ``port``, ``interface_ip``,
         ``port_command``, ``update_frequency``, ...
     """
@@ -52,9 +59,11 @@ class MotionCaptureSource:
         vendor: str,
         latency: float = 0.0,
         convention: Convention | None = None,
+        axes: str | None = None,
         stall_after: float = 1.0,
         retry_after: float = 0.5,
         connect_timeout: float = 5.0,
+        assemble: float | None = None,
         **options: object,
     ) -> None:
         if vendor not in VENDOR_TYPES:
@@ -65,11 +74,15 @@ class MotionCaptureSource:
             if not value > 0:
                 raise InputError(f"mocap {name}: found {value}; need seconds above 0")
         self._clock = clock
-        self._convention = convention or Convention()
+        self._convention = chosen_convention(convention, axes)
+        if assemble is None:
+            assemble = DEFAULT_WAIT if vendor in SINGLY else 0.0
+        self._assembler = Assembler(assemble) if assemble else None
         self._command = [
             vendor,
             json.dumps({key: str(value) for key, value in options.items()}),
             repr(float(latency)),
+            "singly" if self._assembler is not None else "whole",
         ]
         self._stall_after = stall_after
         self._retry_after = retry_after
@@ -82,7 +95,7 @@ class MotionCaptureSource:
         self._thread.start()
 
     def frames(self, timeout: float = 0.0) -> list[PoseFrame]:
-        return self._queue.take(timeout)
+        return take_assembled(self._queue, self._assembler, self._clock, timeout)
 
     @property
     def status(self) -> SourceStatus:

@@ -10,7 +10,9 @@ from crazyarena.clock import Clock
 from crazyarena.errors import InputError
 from crazyarena.mocap.motioncapture_source import VENDOR_TYPES, MotionCaptureSource
 from crazyarena.mocap.replay import ReplaySource
+from crazyarena.mocap.ros2_source import Ros2Source
 from crazyarena.mocap.source import PoseSource
+from crazyarena.mocap.vrpn_source import VrpnSource
 from crazyarena.mocap.zenoh_link import ZenohSource
 
 
@@ -19,9 +21,10 @@ def open_source(kind: str, *, clock: Clock, **options: Any) -> PoseSource:
 
     Parameters
     ----------
-    kind: ``zenoh``, ``replay``, or a type of the ``motioncapture`` package (``vicon``,
+    kind: ``zenoh``, ``ros2``, ``replay``, or a type of the ``motioncapture`` package (``vicon``,
         ``qualisys``, ``optitrack``, ``nokov``, ``fzmotion``, ``vrpn``, ...), whose own option
         names (``hostname``, ``port``, ``interface_ip``, ...) are passed through.
+        ``vrpn`` is a client of our own unless ``client=motioncapture``.
     clock: the session clock.
     options: keyword arguments of the source's class.
 
@@ -31,15 +34,22 @@ def open_source(kind: str, *, clock: Clock, **options: Any) -> PoseSource:
     DependencyMissing: the package behind the kind is not installed.
     """
     opener: Callable[..., PoseSource]
-    if kind in VENDOR_TYPES:
+    client = options.pop("client", "own") if kind == "vrpn" else ""
+    if client not in ("", "own", "motioncapture"):
+        raise InputError(f"mocap client: found {client!r}; choose own or motioncapture")
+    if client == "own":
+        opener = VrpnSource
+    elif kind in VENDOR_TYPES:
         opener = MotionCaptureSource
         options["vendor"] = kind
     elif kind == "zenoh":
         opener = ZenohSource
+    elif kind == "ros2":
+        opener = Ros2Source
     elif kind == "replay":
         opener = ReplaySource
     else:
-        known = ", ".join(["zenoh", "replay", *VENDOR_TYPES])
+        known = ", ".join(["zenoh", "ros2", "replay", *VENDOR_TYPES])
         raise InputError(f"mocap source: found {kind!r}; choose one of {known}")
     try:
         return opener(clock=clock, **options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Iterable
 
@@ -18,6 +19,8 @@ OnFrame = Callable[[PoseFrame, FrameResult], None]
 OnEvent = Callable[[MocapEvent], None]
 # How late a loss of the source may be noticed by the thread, s.
 _TICK = 0.01
+# One event per so long while another publisher goes on, s.
+_FOREIGN_AGAIN = 1.0
 
 
 class PosePipeline:
@@ -64,6 +67,8 @@ class PosePipeline:
         self._live: bool | None = None
         self._lost = 0
         self._reconnects = 0
+        self._foreign = 0
+        self._foreign_told = -math.inf
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self.error: BaseException | None = None
@@ -104,6 +109,11 @@ class PosePipeline:
             self._tell(
                 MocapEvent(now, EventKind.SOURCE_RECONNECTED, None, "motion capture reconnected")
             )
+        if status.foreign > self._foreign and now - self._foreign_told >= _FOREIGN_AGAIN:
+            count = status.foreign - self._foreign
+            self._foreign, self._foreign_told = status.foreign, now
+            message = f"{count} frames of another publisher were ignored ({status.error})"
+            self._tell(MocapEvent(now, EventKind.FOREIGN_PUBLISHER, None, message))
         if status.lost + status.dropped > self._lost:
             missing = status.lost + status.dropped - self._lost
             self._lost += missing

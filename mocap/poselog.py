@@ -8,6 +8,7 @@ digits of every number, for people and spreadsheets.
 from __future__ import annotations
 
 import csv
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -15,8 +16,9 @@ from typing import IO, Any, Protocol
 
 import numpy as np
 
+from crazyarena import mcap_reading
 from crazyarena.errors import InputError
-from crazyarena.mocap.wire import PayloadError, decode, encode
+from crazyarena.mocap.wire import MAX_BODIES, MAX_MARKERS, PayloadError, decode, encode
 from crazyarena.types import Pose, PoseFrame
 
 TOPIC = "/mocap/frames"
@@ -25,6 +27,8 @@ CSV_COLUMNS = (
     "timestamp", "received", "frame_id", "body", "x", "y", "z", "qx", "qy", "qz", "qw",
 )  # fmt: skip
 _NANO = 1_000_000_000
+# A name and ten numbers need far less, characters.
+_LONGEST_ROW = 4096
 
 
 def encode_logged(frame: PoseFrame) -> bytes:
@@ -83,7 +87,7 @@ class _McapFile:
 
 class _CsvFile:
     def __init__(self, path: Path) -> None:
-        self._stream: IO[str] = path.open("w", newline="")
+        self._stream: IO[str] = path.open("w", newline="", encoding="utf-8")
         self._rows = csv.writer(self._stream)
         self._rows.writerow(CSV_COLUMNS)
 
@@ -141,6 +145,8 @@ def read_pose_log(path: str | Path) -> Iterator[PoseFrame]:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such pose log")
+    if not os.access(path, os.R_OK):
+        raise InputError(f"{path}: this pose log may not be read; check its permissions")
     if path.suffix == ".mcap":
         return _read_mcap(path)
     if path.suffix == ".csv":
@@ -149,53 +155,100 @@ def read_pose_log(path: str | Path) -> Iterator[PoseFrame]:
 
 
 def _read_mcap(path: Path) -> Iterator[PoseFrame]:
-    from mcap.exceptions import McapError
-    from mcap.reader import NonSeekingReader
+    from mcap.records import Channel, Message
 
+    channels: set[int] = set()
+    count = 0
     with path.open("rb") as stream:
         try:
             # File order is what was written; it also reads files that a crash cut short.
-            reader = NonSeekingReader(stream)
-            for _, channel, message in reader.iter_messages(log_time_order=False):
-                if channel.message_encoding == ENCODING:
-                    yield decode_logged(message.data)
-        except (McapError, PayloadError) as error:
+            for record in mcap_reading.records(stream):
+                if isinstance(record, Channel) and record.message_encoding == ENCODING:
+                    channels.add(record.id)
+                elif isinstance(record, Message) and record.channel_id in channels:
+                    count += 1
+                    yield decode_logged(record.data)
+        except mcap_reading.Damaged as error:
             raise InputError(f"{path}: not a readable pose log: {error}") from None
+        except PayloadError as error:
+            raise InputError(f"{path}: not a readable pose log: frame {count}: {error}") from None
+    if not channels:
+        raise InputError(f"{path}: an MCAP file without poses (message encoding {ENCODING})")
+
+
+def _lines(path: Path, stream: IO[str]) -> Iterator[str]:
+    """Lines of a text file, none longer than a row can be."""
+    number = 0
+    while True:
+        number += 1
+        try:
+            line = stream.readline(_LONGEST_ROW + 1)
+        except UnicodeDecodeError as error:
+            raise InputError(f"{path}: line {number} or later: not UTF-8: {error.reason}") from None
+        if len(line) > _LONGEST_ROW:
+            raise InputError(f"{path}: line {number}: longer than {_LONGEST_ROW} characters")
+        if not line:
+            return
+        yield line
 
 
 def _read_csv(path: Path) -> Iterator[PoseFrame]:
-    with path.open(newline="") as stream:
-        rows = csv.reader(stream)
-        header = tuple(next(rows, ()))
-        if header != CSV_COLUMNS:
-            raise InputError(
-                f"{path}: line 1: found columns {','.join(header)!r}; need {','.join(CSV_COLUMNS)}"
-            )
-        head: tuple[str, ...] | None = None
-        bodies: dict[str, Pose] = {}
-        markers: list[list[float]] = []
-        for row in rows:
-            try:
-                if len(row) != len(CSV_COLUMNS):
-                    raise ValueError(f"{len(row)} columns, need {len(CSV_COLUMNS)}")
-                if head is not None and tuple(row[:3]) != head:
-                    yield _csv_frame(head, bodies, markers)
-                    bodies, markers = {}, []
-                head = tuple(row[:3])
-                if row[3]:
-                    numbers = np.array([float(cell) for cell in row[4:]])
-                    bodies[row[3]] = Pose(numbers[:3], numbers[3:])
-                elif row[4]:
-                    markers.append([float(cell) for cell in row[4:7]])
-            except ValueError as error:
-                raise InputError(f"{path}: line {rows.line_num}: {error}") from None
-        if head is not None:
+    with path.open(newline="", encoding="utf-8") as stream:
+        rows = csv.reader(_lines(path, stream), strict=True)
+        try:
+            yield from _csv_frames(path, rows)
+        except (ValueError, csv.Error) as error:
+            raise InputError(f"{path}: line {rows.line_num}: {error}") from None
+
+
+def _csv_frames(path: Path, rows: Any) -> Iterator[PoseFrame]:
+    header = tuple(next(rows, ()))
+    if header != CSV_COLUMNS:
+        raise InputError(
+            f"{path}: line 1: found columns {','.join(header)[:200]!r}; need "
+            f"{','.join(CSV_COLUMNS)}"
+        )
+    head: tuple[str, ...] | None = None
+    bodies: dict[str, Pose] = {}
+    markers: list[list[float]] = []
+    for row in rows:
+        if len(row) != len(CSV_COLUMNS):
+            raise ValueError(f"{len(row)} columns, need {len(CSV_COLUMNS)}")
+        if head is not None and tuple(row[:3]) != head:
             yield _csv_frame(head, bodies, markers)
+            bodies, markers = {}, []
+        head = tuple(row[:3])
+        if row[3]:
+            if row[3] in bodies:
+                raise ValueError(f"body {row[3]!r} occurs twice in a frame")
+            bodies[row[3]] = _csv_pose(row[4:])
+        elif row[4]:
+            markers.append(_numbers(row[4:7]).tolist())
+        if len(bodies) > MAX_BODIES or len(markers) > MAX_MARKERS:
+            raise ValueError(f"more than {MAX_BODIES} bodies or {MAX_MARKERS} markers in a frame")
+    if head is not None:
+        yield _csv_frame(head, bodies, markers)
+
+
+def _numbers(cells: list[str]) -> np.ndarray:
+    numbers = np.array([float(cell) for cell in cells])
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"found {','.join(cells)[:80]!r}; need finite numbers")
+    return numbers
+
+
+def _csv_pose(cells: list[str]) -> Pose:
+    numbers = _numbers(cells)
+    norm = float(np.linalg.norm(numbers[3:]))
+    if abs(norm - 1.0) > 1e-3:
+        raise ValueError(f"a quaternion has norm {norm:g}, not 1")
+    return Pose(numbers[:3], numbers[3:])
 
 
 def _csv_frame(
     head: tuple[str, ...], bodies: dict[str, Pose], markers: list[list[float]]
 ) -> PoseFrame:
-    return PoseFrame(
-        float(head[0]), float(head[1]), int(head[2]), bodies, np.array(markers).reshape(-1, 3)
-    )
+    timestamp, received = _numbers([head[0], head[1]]).tolist()
+    if not 0 <= (number := int(head[2])) < 1 << 64:
+        raise ValueError(f"frame_id {head[2][:40]}: need a whole number from 0 to 2^64 - 1")
+    return PoseFrame(timestamp, received, number, bodies, np.array(markers).reshape(-1, 3))

@@ -1,4 +1,4 @@
-"""Serve poses to others: as QTM would, or over zenoh. Logic of ``crazyarena mocap-server``."""
+"""Serve poses to others, by any protocol. Logic of ``crazyarena mocap-server``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from crazyarena.types import Pose, PoseFrame
 
 
 class Outlet(Protocol):
-    """Where frames go: :class:`~crazyarena.mocap.vendor_server.QualisysServer` or
+    """Where frames go: a vendor's server (:mod:`~crazyarena.mocap.vendor_server`,
+    :mod:`~crazyarena.mocap.natnet_server`, :mod:`~crazyarena.mocap.vrpn_server`) or
     :class:`~crazyarena.mocap.zenoh_link.ZenohPublisher`."""
 
     def publish(self, frame: PoseFrame) -> None: ...

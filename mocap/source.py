@@ -26,7 +26,8 @@ class SourceStatus:
     """Counters since the source was opened.
 
     lost: gaps in the frame ids; dropped: frames thrown away because nobody fetched them;
-    malformed: payloads that could not be read; error: the last trouble in words.
+    malformed: payloads that could not be read; foreign: frames of another publisher than the one
+    that is believed; error: the last trouble in words.
     """
 
     state: SourceState = SourceState.CONNECTING
@@ -36,6 +37,7 @@ class SourceStatus:
     malformed: int = 0
     reconnects: int = 0
     error: str | None = None
+    foreign: int = 0
 
 
 @runtime_checkable
@@ -80,6 +82,11 @@ class FrameQueue:
     def status(self) -> SourceStatus:
         return self._status
 
+    @property
+    def finished(self) -> bool:
+        """True when nothing will come any more."""
+        return self._status.state in (SourceState.CLOSED, SourceState.ENDED)
+
     def put(self, frame: PoseFrame, run: int) -> None:
         """Add a frame of the sender's run ``run``; another run starts new ids."""
         with self._ready:
@@ -107,6 +114,7 @@ class FrameQueue:
                 status.malformed,
                 reconnects,
                 status.error,
+                status.foreign,
             )
             self._ready.notify()
 
@@ -126,14 +134,16 @@ class FrameQueue:
         with self._ready:
             self._status = replace(self._status, malformed=self._status.malformed + 1, error=reason)
 
+    def turn_away(self, reason: str) -> None:
+        """Count one frame of a publisher that is not believed."""
+        with self._ready:
+            self._status = replace(self._status, foreign=self._status.foreign + 1, error=reason)
+
     def take(self, timeout: float) -> list[PoseFrame]:
         with self._ready:
             if not self._frames and timeout > 0:
                 self._ready.wait_for(
-                    lambda: (
-                        self._frames
-                        or self._status.state in (SourceState.CLOSED, SourceState.ENDED)
-                    ),
+                    lambda: self._frames or self.finished,
                     timeout,
                 )
             taken = list(self._frames)

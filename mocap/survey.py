@@ -9,27 +9,76 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from crazyarena.bounded_read import read_json
 from crazyarena.errors import InputError
+from crazyarena.mocap.cadence import Cadence
 from crazyarena.mocap.rotations import angle_between
+from crazyarena.plain_text import shown_line
 from crazyarena.types import Pose, PoseFrame, Vector
 
 FORMAT = "crazyarena-measured-track"
 VERSION = 1
 _LATEST = 10  # frames that tell where a moving body is
+_LONGEST = 4 << 20  # characters of a measured track
+_SLOWEST = 4  # frames from one sight of a body to the next, at most
+
+
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """How far a body may be from nominal: ``(low, high)`` of x, y, z in m and of yaw in rad."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    z: tuple[float, float]
+    yaw: tuple[float, float]
+
+
+def misplaced(
+    pose: Pose, nominal: Pose, allowed: Allowed, full_turn: bool = False, height: bool = True
+) -> str | None:
+    """Say how a body is out of its tolerance, axis by axis; None when it is not.
+
+    ``full_turn`` False takes a body turned by half a turn for the same; ``height`` False does
+    not look at z.
+    """
+    off = (pose.position - nominal.position).tolist()
+    for axis, value, (low, high) in zip("xyz", off, (allowed.x, allowed.y, allowed.z), strict=True):
+        if axis == "z" and not height:
+            continue
+        if not low <= value <= high:
+            return (
+                f"stands {value * 1e2:+.1f} cm from its nominal place in {axis}; "
+                f"{low * 1e2:+.1f} to {high * 1e2:+.1f} cm are allowed"
+            )
+    low, high = allowed.yaw
+    turn = _turned(pose, nominal, full_turn)
+    if not low <= turn <= high:
+        return (
+            f"is turned by {math.degrees(turn):+.1f} degrees against nominal; "
+            f"{math.degrees(low):+.1f} to {math.degrees(high):+.1f} are allowed"
+        )
+    return None
+
+
+def _turned(pose: Pose, nominal: Pose, full_turn: bool) -> float:
+    period = 2.0 * math.pi if full_turn else math.pi
+    return _wrap(_yaw(pose.quaternion) - _yaw(nominal.quaternion), period)
 
 
 @dataclass(frozen=True, slots=True)
 class SurveyConfig:
     """Requirements of a survey.
 
-    frames: frames to average; min_seen: share of them in which every body must appear;
-    position_tolerance, yaw_tolerance, tilt_tolerance: largest deviation from nominal, m and
-    rad; max_spread: largest standard deviation of a body's position, m (it must stand still).
+    frames: frames to average; min_seen: share of them in which every body must appear, or of
+    every second, ... up to fourth, for trackers that are slower than others;
+    allowed: how far each body may be from nominal, by name; for others position_tolerance, of each
+    axis, and yaw_tolerance, m and rad; tilt_tolerance, rad; max_spread: largest standard deviation
+    of a body's position, m (it must stand still).
     ``full_turn`` False compares yaw modulo 180 degrees, for gates without a front.
     """
 
@@ -40,6 +89,13 @@ class SurveyConfig:
     tilt_tolerance: float = math.radians(5.0)
     max_spread: float = 0.005
     full_turn: bool = True
+    allowed: Mapping[str, Allowed] = field(default_factory=dict)
+
+    def rule(self, name: str) -> Allowed:
+        """How far the body ``name`` may be from nominal."""
+        reach = (-self.position_tolerance, self.position_tolerance)
+        turn = (-self.yaw_tolerance, self.yaw_tolerance)
+        return self.allowed.get(name, Allowed(reach, reach, reach, turn))
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,28 +167,40 @@ def survey(
     """
     config = config or SurveyConfig()
     samples: dict[str, list[Pose]] = {name: [] for name in nominal}
+    cadences: dict[str, Cadence] = {}
     count = 0
     for frame in frames:
-        count += 1
         for name, poses in samples.items():
             pose = frame.bodies.get(name)
-            if pose is not None:
-                poses.append(pose)
+            if pose is None:
+                continue
+            poses.append(pose)
+            if name in cadences:
+                cadences[name].note(count)
+            else:
+                cadences[name] = Cadence(count)
+        count += 1
         if count >= config.frames:
             break
-    bodies = tuple(_measure(n, samples[n], nominal[n], count, config, n in moving) for n in nominal)
-    return SurveyReport(bodies, count)
+    bodies = []
+    for name, expected in nominal.items():
+        period = min(cadences[name].period, _SLOWEST) if name in cadences else 1
+        need = math.ceil(config.min_seen * config.frames / period)
+        bodies.append(
+            _measure(name, samples[name], expected, (need, count), config, name in moving)
+        )
+    return SurveyReport(tuple(bodies), count)
 
 
 def _measure(
     name: str,
     samples: list[Pose],
     nominal: Pose,
-    count: int,
+    needed: tuple[int, int],
     config: SurveyConfig,
     moving: bool,
 ) -> SurveyedBody:
-    need = math.ceil(config.min_seen * config.frames)
+    need, count = needed
     problem: str | None = None
     if not samples:
         nan = math.nan
@@ -156,8 +224,8 @@ def _measure(
     quaternion = mean_quaternion(quaternions[kept])
     spread = float(np.sqrt(positions[kept].var(axis=0).sum()))
     deviation = float(np.linalg.norm(position - nominal.position))
-    period = 2.0 * math.pi if config.full_turn else math.pi
-    yaw = _wrap(_yaw(quaternion) - _yaw(nominal.quaternion), period)
+    pose = Pose(position, quaternion)
+    yaw = _turned(pose, nominal, config.full_turn)
     x, y, _, _ = quaternion.tolist()
     tilt = math.acos(min(1.0, max(-1.0, 1.0 - 2.0 * (x * x + y * y))))
     seen = earlier + int(kept.sum())
@@ -168,21 +236,11 @@ def _measure(
             f"{name} moves by {spread * 1e3:.1f} mm; it must stand still "
             f"({config.max_spread * 1e3:.1f} mm)"
         )
-    elif not moving and deviation > config.position_tolerance:
-        problem = (
-            f"{name} stands {deviation * 1e2:.1f} cm from its nominal place; at most "
-            f"{config.position_tolerance * 1e2:.1f} cm are allowed"
-        )
-    elif not moving and abs(yaw) > config.yaw_tolerance:
-        problem = (
-            f"{name} is turned by {math.degrees(yaw):.1f} degrees against nominal; at most "
-            f"{math.degrees(config.yaw_tolerance):.1f} are allowed"
-        )
+    elif not moving and (wrong := misplaced(pose, nominal, config.rule(name), config.full_turn)):
+        problem = f"{name} {wrong}"
     elif tilt > config.tilt_tolerance:
         problem = f"{name} leans by {math.degrees(tilt):.1f} degrees; straighten it"
-    return SurveyedBody(
-        name, Pose(position, quaternion), seen, deviation, yaw, tilt, spread, problem
-    )
+    return SurveyedBody(name, pose, seen, deviation, yaw, tilt, spread, problem)
 
 
 def write_track(path: str | Path, report: SurveyReport, level: str = "") -> None:
@@ -207,27 +265,29 @@ def write_track(path: str | Path, report: SurveyReport, level: str = "") -> None
 def read_track(path: str | Path) -> dict[str, Pose]:
     """Read a measured track; raises InputError naming file and field."""
     path = Path(path)
-    try:
-        document = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a measured track: {error}") from None
+    document = read_json(path, "measured track")
     if not isinstance(document, dict) or (document.get("format"), document.get("version")) != (
         FORMAT,
         VERSION,
     ):
         raise InputError(f"{path}: field format: need {FORMAT} version {VERSION}")
+    bodies = document.get("bodies", {})
+    if not isinstance(bodies, dict):
+        raise InputError(f"{path}: field bodies: need bodies by name")
     poses = {}
-    for name, body in document.get("bodies", {}).items():
+    for name, body in bodies.items():
         try:
             position = np.array(body["position"], dtype=float)
             quaternion = np.array(body["quaternion"], dtype=float)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path}: body {name}: {error}") from None
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            what = f"missing {error}" if isinstance(error, KeyError) else str(error)
+            raise InputError(f"{path}: body {shown_line(name)}: {shown_line(what)}") from None
         good = position.shape == (3,) and quaternion.shape == (4,)
         good = good and bool(np.isfinite([*position, *quaternion]).all())
         if not good or abs(float(np.linalg.norm(quaternion)) - 1.0) > 1e-6:
             raise InputError(
-                f"{path}: body {name}: need position (3,) and unit quaternion x, y, z, w"
+                f"{path}: body {shown_line(name)}: need position (3,) and unit quaternion "
+                "x, y, z, w"
             )
         poses[name] = Pose(position, quaternion)
     return poses

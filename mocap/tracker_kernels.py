@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from crazyarena.jit import kernel
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+
+@kernel(_nrt=True)
 def _claim(points, real, cloud, reach, match, owner_body, owner_point, owner_distance):
     # Deferred acceptance: every predicted point asks its nearest marker, a marker keeps the
     # nearest asker, the refused one asks the next. The outcome does not depend on the order.

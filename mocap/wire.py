@@ -7,7 +7,7 @@ field                 type     meaning
 ====================  =======  ==========================================================
 magic                 4 bytes  ``CAPF``
 version               u8       1
-flags                 u8       0 (readers refuse other values)
+flags                 u8       bit 0: signed (readers refuse other bits)
 bodies                u16      B, rigid bodies seen in this frame
 markers               u32      M, unlabelled markers
 names                 u32      N, bytes of the name table
@@ -20,11 +20,14 @@ poses                 7f64 B   x, y, z in m; qx, qy, qz, qw (body to world)
 marker positions      3f64 M   x, y, z in m
 name table            N bytes  per body: u8 length, UTF-8 text
 checksum              u32      CRC-32 (zlib) of everything before it
+mac                   32 bytes only if signed: HMAC-SHA256 (RFC 2104) of everything before
 ====================  =======  ==========================================================
 """
 
 from __future__ import annotations
 
+import hashlib
+import hmac
 import struct
 import zlib
 from collections.abc import Mapping
@@ -42,6 +45,8 @@ MAX_MARKERS = 16384
 MAX_NAME = 255
 _HEADER = struct.Struct("<4sBBHIIQQQdd")
 _CHECKSUM = struct.Struct("<I")
+_SIGNED = 1
+_MAC = hashlib.sha256().digest_size
 # A unit quaternion sent as float32 by a vendor is off by 1e-7; anything beyond this is
 # a decoding mistake on the sender's side.
 _NORM_TOLERANCE = 1e-3
@@ -85,8 +90,9 @@ def encode(
     run: int,
     bodies: Mapping[str, Pose],
     markers: Vector | None = None,
+    secret: bytes | None = None,
 ) -> bytes:
-    """Return the payload of one frame (layout in the module's docstring)."""
+    """Return the payload of one frame (layout in the module's docstring), signed by ``secret``."""
     count = len(bodies)
     points = np.empty((0, 3)) if markers is None else np.ascontiguousarray(markers, dtype="<f8")
     if count > MAX_BODIES or len(points) > MAX_MARKERS:
@@ -103,7 +109,7 @@ def encode(
             _HEADER.pack(
                 MAGIC,
                 VERSION,
-                0,
+                0 if secret is None else _SIGNED,
                 count,
                 len(points),
                 len(names),
@@ -118,7 +124,12 @@ def encode(
             names,
         )
     )
-    return payload + _CHECKSUM.pack(zlib.crc32(payload))
+    payload += _CHECKSUM.pack(zlib.crc32(payload))
+    return payload if secret is None else payload + _mac(secret, payload)
+
+
+def _mac(secret: bytes, payload: bytes | memoryview) -> bytes:
+    return hmac.digest(secret, payload, "sha256")
 
 
 # Names stay the same from frame to frame.
@@ -145,13 +156,13 @@ def _decode_names(table: bytes, count: int) -> tuple[str, ...]:
     return tuple(names)
 
 
-def decode(payload: bytes) -> WireFrame:
-    """Read one payload.
+def decode(payload: bytes, secret: bytes | None = None) -> WireFrame:
+    """Read one payload; with a ``secret`` only what was signed by it.
 
     Raises
     ------
     PayloadError: wrong magic, version, length, checksum, name, or a number that is not
-        finite, or a quaternion whose norm is not 1.
+        finite, or a quaternion whose norm is not 1; or it is not signed by ``secret``.
     """
     if len(payload) < _HEADER.size + _CHECKSUM.size:
         raise PayloadError(f"{len(payload)} bytes are too short for a frame")
@@ -160,8 +171,16 @@ def decode(payload: bytes) -> WireFrame:
     )
     if magic != MAGIC:
         raise PayloadError(f"magic {magic!r} is not {MAGIC!r}")
-    if version != VERSION or flags != 0:
-        raise PayloadError(f"version {version} flags {flags}: this reader knows {VERSION} and 0")
+    if version != VERSION or flags & ~_SIGNED:
+        raise PayloadError(f"version {version} flags {flags}: this reader knows {VERSION} and 0, 1")
+    if secret is not None and not flags & _SIGNED:
+        raise PayloadError("not signed; the publisher needs the same token")
+    if flags & _SIGNED:
+        if secret is not None and not hmac.compare_digest(
+            _mac(secret, memoryview(payload)[:-_MAC]), payload[-_MAC:]
+        ):
+            raise PayloadError("not signed by the token that is asked for")
+        payload = payload[:-_MAC]
     if count > MAX_BODIES or markers > MAX_MARKERS:
         raise PayloadError(f"{count} bodies and {markers} markers are more than allowed")
     expected = _HEADER.size + 56 * count + 24 * markers + names + _CHECKSUM.size

@@ -5,82 +5,22 @@ The payload is :mod:`crazyarena.mocap.wire`; docs/mocap.md states key and qualit
 
 from __future__ import annotations
 
-import ctypes
-import json
-import threading
+import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from crazyarena.clock import Clock
-from crazyarena.errors import DependencyMissing, InputError
+from crazyarena.mocap.assembly import SAME, Assembler, take_assembled
+from crazyarena.mocap.pin import PublisherPin
 from crazyarena.mocap.source import FrameQueue, SourceState, SourceStatus
 from crazyarena.mocap.stamps import HostStamps, StampReader, host_id, host_time, new_run
-from crazyarena.mocap.wire import PayloadError, decode, encode
+from crazyarena.mocap.wire import PayloadError, WireFrame, decode, encode
+from crazyarena.mocap.zenoh_session import keep_thread_state, open_session
+from crazyarena.secret import read_secret
 from crazyarena.types import PoseFrame
 
 DEFAULT_KEY = "crazyarena/mocap/frames"
-# Has an attribute in threads whose state is kept.
-_kept = threading.local()
-
-
-def open_session(connect: Sequence[str] = (), listen: Sequence[str] = ()) -> Any:
-    """Open a zenoh peer session.
-
-    Parameters
-    ----------
-    connect, listen: zenoh endpoints such as ``tcp/10.0.0.5:7447``. With any endpoint given,
-        multicast discovery is off, so that a session never joins a stranger's network; with
-        none, peers on the local network find each other.
-
-    Raises
-    ------
-    InputError: an endpoint is malformed or cannot be listened on.
-    """
-    try:
-        import zenoh
-    except ImportError:
-        raise DependencyMissing("eclipse-zenoh", "mocap", "motion capture over zenoh") from None
-    config = zenoh.Config()
-    try:
-        if connect:
-            config.insert_json5("connect/endpoints", json.dumps(list(connect)))
-            # A listener that starts before its publisher keeps trying in the background.
-            config.insert_json5("connect/exit_on_failure", "false")
-            config.insert_json5("connect/timeout_ms", "-1")
-            config.insert_json5(
-                "connect/retry",
-                "{period_init_ms: 100, period_max_ms: 1000, period_increase_factor: 1.5}",
-            )
-        if listen:
-            config.insert_json5("listen/endpoints", json.dumps(list(listen)))
-        elif connect:
-            config.insert_json5("listen/endpoints", "[]")
-        if connect or listen:
-            config.insert_json5("scouting/multicast/enabled", "false")
-        # As shipped, a frame is dropped when its two slots are taken for a millisecond, which
-        # on a busy machine means lost frames. Sixteen slots hold 50 ms at 300 Hz.
-        config.insert_json5("transport/link/tx/queue/size/real_time", "16")
-        config.insert_json5(
-            "transport/link/tx/queue/congestion_control/drop/wait_before_drop", "50000"
-        )
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        raise InputError(
-            f"zenoh endpoints connect={list(connect)} listen={list(listen)}: {error}; "
-            "write them like tcp/10.0.0.5:7447"
-        ) from None
-
-
-def keep_thread_state() -> None:
-    """Keep the interpreter's state of a thread that it did not start, until the thread ends.
-
-    CPython makes one for every call that comes from such a thread and drops it afterwards, and
-    both map memory: then the kernel makes all processors at work on the process forget its
-    addresses, and waits for each of them, although a virtual one may not be running at all.
-    """
-    if not hasattr(_kept, "thread"):
-        ctypes.pythonapi.PyGILState_Ensure()
-        _kept.thread = True
 
 
 class ZenohPublisher:
@@ -89,6 +29,11 @@ class ZenohPublisher:
     Frames carry the stamps of this host's monotonic clock and the ids given by the source, so
     a listener sees what was lost on the way. Sent reliably, in order, without batching, at
     real-time priority; a frame that cannot be handed over within 50 ms is dropped.
+
+    Parameters
+    ----------
+    connect, listen, config: see :func:`crazyarena.mocap.zenoh_session.open_session`.
+    token: file with a secret (:func:`crazyarena.secret.read_secret`) that signs every frame.
     """
 
     def __init__(
@@ -98,9 +43,14 @@ class ZenohPublisher:
         connect: Sequence[str] = (),
         listen: Sequence[str] = (),
         session: Any = None,
+        config: str | Path | None = None,
+        token: str | Path | None = None,
     ) -> None:
+        self._secret = None if token is None else read_secret(token)
         self._owns_session = session is None
-        self._session = open_session(connect, listen) if session is None else session
+        if session is None:
+            session = open_session(connect, listen, config=config)
+        self._session = session
         import zenoh
 
         self._stamps = HostStamps(clock)
@@ -127,6 +77,7 @@ class ZenohPublisher:
                 self._run,
                 frame.bodies,
                 frame.markers,
+                self._secret,
             )
         )
 
@@ -136,11 +87,38 @@ class ZenohPublisher:
             self._session.close()
 
 
+class _Order:
+    """Signed frames come with growing numbers and times; what does not is a replay."""
+
+    def __init__(self) -> None:
+        self._run: int | None = None
+        self._last_id = -1
+        self._sent: dict[int, float] = {}
+
+    def repeats(self, wire: WireFrame) -> bool:
+        # A recording of an earlier run is older than anything that was heard from its host.
+        if wire.sent <= self._sent.get(wire.host, -math.inf):
+            return True
+        if wire.run == self._run and wire.frame_id <= self._last_id:
+            return True
+        self._run, self._last_id = wire.run, wire.frame_id
+        self._sent[wire.host] = wire.sent
+        return False
+
+
 class ZenohSource:
     """Listen to the frames of a :class:`ZenohPublisher` (or anything that speaks its payload).
 
     Malformed payloads are counted in ``status.malformed`` and dropped. zenoh restores broken
-    connections by itself; a restarted publisher shows in ``status.reconnects``.
+    connections by itself; a restarted publisher shows in ``status.reconnects``. Frames of another
+    publisher than the first are ignored, and counted in ``status.foreign``, until that one has
+    been silent for ``release_after``.
+
+    Parameters
+    ----------
+    connect, listen, config: see :func:`crazyarena.mocap.zenoh_session.open_session`.
+    token: file with a secret; frames that it has not signed, or that were sent before, are dropped.
+    release_after: silence, s, after which a publisher counts as gone.
     """
 
     def __init__(
@@ -150,13 +128,23 @@ class ZenohSource:
         connect: Sequence[str] = (),
         listen: Sequence[str] = (),
         session: Any = None,
+        config: str | Path | None = None,
+        token: str | Path | None = None,
+        release_after: float = 0.5,
     ) -> None:
+        self._secret = None if token is None else read_secret(token)
         self._owns_session = session is None
-        self._session = open_session(connect, listen) if session is None else session
+        if session is None:
+            session = open_session(connect, listen, config=config)
+        self._session = session
         import zenoh
 
         self._clock = clock
+        self._pin = PublisherPin(release_after)
+        self._order = _Order()
         self._queue = FrameQueue()
+        # Publishers may send each body by itself; equal stamps tell.
+        self._assembler = Assembler(same=SAME, learn=True)
         self._reader = StampReader(clock)
         # Called in zenoh's own thread: handing over through one more thread costs latency.
         handler = zenoh.handlers.Callback(self._receive, indirect=False)
@@ -166,9 +154,15 @@ class ZenohSource:
         received = self._clock.now()
         keep_thread_state()
         try:
-            wire = decode(sample.payload.to_bytes())
+            wire = decode(sample.payload.to_bytes(), self._secret)
         except PayloadError as error:
             self._queue.reject(str(error))
+            return
+        if not self._pin.believes(wire.run, received):
+            self._queue.turn_away(f"publisher {wire.run:016x} beside {self._pin.run:016x}")
+            return
+        if self._secret is not None and self._order.repeats(wire):
+            self._queue.reject("a signed frame was sent before: somebody plays a recording")
             return
         captured = self._reader.capture_time(wire.host, wire.captured, wire.sent, received)
         self._queue.put(
@@ -176,7 +170,7 @@ class ZenohSource:
         )
 
     def frames(self, timeout: float = 0.0) -> list[PoseFrame]:
-        return self._queue.take(timeout)
+        return take_assembled(self._queue, self._assembler, self._clock, timeout)
 
     @property
     def status(self) -> SourceStatus:

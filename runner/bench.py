@@ -1,8 +1,8 @@
 """The whole hardware path without hardware; what ``crazyarena bench`` does.
 
 A virtual arena runs in a process of its own; the trial reaches its vehicle through cflib over
-UDP and sees it through cameras on zenoh, in real time. Each run is then flown as a dry run with
-the same seed, and the two groups are compared.
+UDP, or over a virtual Crazyradio, and sees it through cameras on zenoh, in real time. Each run is
+then flown as a dry run with the same seed, and the two groups are compared.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import Any
 from rich.console import Console
 
 from crazyarena.levels.schema import Level
-from crazyarena.mocap.opening import SourceSpec
 from crazyarena.runner.dry_run import DryRun
 from crazyarena.runner.fly import Fly
 from crazyarena.runner.judging.result import TrialResult
@@ -25,7 +24,9 @@ from crazyarena.runner.rig.rig import Rig
 from crazyarena.runner.rig.stops import StopOptions
 from crazyarena.runner.rig.virtual_arena import VirtualArena
 from crazyarena.runner.trial.options import FlightOptions
+from crazyarena.runner.warm_up import compile_missing
 from crazyarena.safety.limits import Limits
+from crazyarena.sim_backend.crazyradio.environment import with_dongles
 from crazyarena.sim_backend.vehicles import VehicleChoice
 
 
@@ -53,7 +54,11 @@ class Bench:
     dry: fly the dry runs and compare.
     stops: what stops the flights in real time besides the watchdog.
     waive: lines of the pre-flight checklist that must not ground those.
+    radio: over a virtual Crazyradio instead of UDP. cameras: fields of CameraModel.
     vehicle, spread: as for :class:`~crazyarena.runner.dry_run.DryRun`; both sides fly the same.
+    mocap: what the cameras speak, one of
+        :data:`~crazyarena.runner.rig.arena_cameras.PROTOCOLS`; mocap_options: of the source that
+        sees through them.
     """
 
     def __init__(
@@ -72,9 +77,17 @@ class Bench:
         console: Console | None = None,
         stops: StopOptions | None = None,
         waive: Sequence[str] = (),
+        radio: bool = False,
+        cameras: dict[str, Any] | None = None,
         vehicle: VehicleChoice | None = None,
         spread: bool | None = None,
+        mocap: str = "zenoh",
+        mocap_options: dict[str, Any] | None = None,
     ) -> None:
+        self._mocap = mocap
+        self._mocap_options = mocap_options
+        self._radio = radio
+        self._cameras = cameras
         self._submission = submission
         self._level = level
         self._out = out
@@ -97,6 +110,7 @@ class Bench:
 
     def run(self) -> BenchResult:
         """Fly everything."""
+        compile_missing(("arena", "estimator", "referee"), self._console)
         result = BenchResult()
         for index in range(self._runs):
             seed = self._seed
@@ -125,16 +139,26 @@ class Bench:
         arenas: list[VirtualArena] = []
 
         def open_rig(level: Level, limits: Limits) -> Rig:
-            arena = VirtualArena(level, seed, folder, supply=fly.supply)
+            arena = VirtualArena(
+                level,
+                seed,
+                folder,
+                radio=self._radio,
+                cameras=self._cameras,
+                mocap=self._mocap,
+                mocap_options=self._mocap_options,
+                supply=fly.supply,
+            )
             arenas.append(arena)
             try:
                 rig = connected(
                     level,
                     arena.uri,
-                    SourceSpec("zenoh", {"connect": [arena.endpoint]}),
+                    arena.source,
                     limits=limits,
                     real_time=self._real_time,
-                    description={"mocap": f"zenoh {arena.endpoint}", "world": "bench"},
+                    description={"mocap": f"{self._mocap} {arena.endpoint}", "world": "bench"},
+                    environment=with_dongles(arena.air) if self._radio else None,
                     model=fly.model,
                 )
             except BaseException:

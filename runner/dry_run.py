@@ -16,18 +16,20 @@ from crazyarena.errors import InputError
 from crazyarena.levels import load_level
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level, Profile
+from crazyarena.plain_text import shown, shown_line
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.in_process import InProcess
 from crazyarena.runner.contestant.submission import Submission, entry_file
 from crazyarena.runner.judging.result import EpisodeResult, TrialResult
+from crazyarena.runner.records.outcome_table import remarks, score_line, table
 from crazyarena.runner.records.recorder import Recorder
-from crazyarena.runner.records.report import provenance, table, write_result
+from crazyarena.runner.records.report import NOT_ISOLATED, provenance, write_result
 from crazyarena.runner.trial.control_loop import Deadlines
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.trial.staging import Staging
 from crazyarena.runner.trial.trial import Trial
 from crazyarena.runner.trial.world import World
-from crazyarena.sim_backend import jit
+from crazyarena.runner.warm_up import compile_missing, parts_of
 
 # What only arena levels need is imported when one is flown: it would double the start-up.
 if TYPE_CHECKING:
@@ -72,11 +74,12 @@ def make_world(
     return TrackedWorld(simulated(level, seed, cameras, limits=limits, supply=supply))
 
 
-def _results_folder(out: Path | None, submission: Path, level: Level) -> Path:
+def results_folder(out: Path | None, submission: Path, level: str) -> Path:
+    """Make the folder of a run: ``out``, or a new one under ``runs/`` named after both."""
     if out is None:
         stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
         stem = submission.stem if submission.suffix == ".py" else submission.name
-        base = Path("runs") / f"{stamp}-{stem}-{level.name}"
+        base = Path("runs") / f"{stamp}-{stem}-{level}"
         out, count = base, 1
         while out.exists():
             count += 1
@@ -101,7 +104,7 @@ class _Display:
         half_seconds = int(time * 2)
         if half_seconds != self._shown:
             self._shown = half_seconds
-            text = f"episode {episode + 1}/{self._episodes}"
+            text = f"episode {episode} ({episode + 1} of {self._episodes})"
             self._progress.update(self._task, completed=time, description=text)
 
 
@@ -138,7 +141,7 @@ class DryRun:
         self._options = options or FlightOptions()
         self._options.check()
         self._noise_seed = noise_seed
-        self._seed = self._level.seed if seed is None else seed
+        self._seed = self._options.seed(seed, self._level)
         path = example_racer() if submission is None else submission
         entry_file(path.expanduser())  # a wrong path must not leave a results folder behind
         self._path = path.expanduser().resolve()
@@ -149,6 +152,12 @@ class DryRun:
         self._console = console if console is not None else Console()
         self._drawings: list[tuple[Any, ...]] = []
         self._preflight: FlightChecklist | None = None
+        self._isolated = False
+
+    @property
+    def seed(self) -> int:
+        """What the level is drawn with."""
+        return self._seed
 
     def _choose(self, choice: VehicleChoice | None, spread: bool | None) -> None:
         """Settle the vehicle of an arena level, and what the level says of it."""
@@ -183,14 +192,9 @@ class DryRun:
         """Fly, report, write ``result.json``; returns the result."""
         console = self._console
         level = self._level
+        compile_missing(parts_of(level), console)
         world = self._make_world()
-        self.out = _results_folder(self._wanted_out, self._path, level)
-        if jit.is_cold():
-            console.print("Compiling the simulator; only the first run waits for this (< 1 min).")
-            if level.profile is Profile.COMPETITION:
-                from crazyarena.runner.warm_up import compile_competition
-
-                compile_competition()
+        self.out = results_folder(self._wanted_out, self._path, level.name)
         try:
             with contextlib.ExitStack() as stack:
                 stack.callback(world.close)
@@ -208,14 +212,29 @@ class DryRun:
         self._draw_figures()
         write_result(self.out / "result.json", result, origin)
         console.print(table(result))
+        seed = "that is secret" if self._options.secret else self._seed
+        for line in (score_line(result), *remarks(result, level, seed)):
+            console.print(line, highlight=False, markup=False)
+        if origin.get("rig", {}).get("vehicles"):
+            done = sum(episode.completed for episode in result.episodes)
+            console.print(
+                f"Vehicles drawn from the spread of {origin['rig']['vehicle']}: {done} of "
+                f"{len(result.episodes)} completed",
+                highlight=False,
+            )
         if result.error is not None:
-            console.print(result.error, style="red", markup=False, highlight=False, soft_wrap=True)
-        console.print(f"Results in {self.out}", highlight=False, soft_wrap=True)
+            self._print(shown(result.error), style="red")
+        if not result.isolated:
+            self._print(NOT_ISOLATED)
+        self._print(f"Results in {shown_line(str(self.out))}")
         for episode in result.episodes:
             if "figure" in episode.files:
                 figure = self.out / episode.files["figure"]
-                console.print(f"Figure: {figure}", highlight=False, soft_wrap=True)
+                self._print(f"Figure: {shown_line(str(figure))}")
         return result
+
+    def _print(self, text: str, style: str | None = None) -> None:
+        self._console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
     def _make_world(self) -> World:
         seed = self._seed if self._noise_seed is None else self._noise_seed
@@ -228,12 +247,12 @@ class DryRun:
         return limits_for(self._level.control_frequency, self._options.max_misses)
 
     def _contestant(self) -> Contestant:
-        options, arena = self._options, self._level.profile is Profile.ARENA
-        if options.sandbox if options.sandbox is not None else arena:
+        options = self._options
+        if options.sandboxed(self._level):
             from crazyarena.runner.contestant.sandbox.process import Sandboxed
 
             contestant = Sandboxed(self._path, options.limits, require=options.require_sandbox)
-            self._console.print(contestant.announcement, highlight=False, soft_wrap=True)
+            self._print(contestant.announcement)
             return contestant
         return InProcess(Submission(self._path, self.out / "work"))
 
@@ -264,6 +283,8 @@ class DryRun:
             self._level, contestant, world, staging=staging, deadlines=deadlines, **common
         )
         result = trial.run()
+        result.isolated = bool(contestant.description["isolated"])
+        self._isolated = result.isolated
         if self._preflight is not None:
             origin["preflight"] = self._preflight.record()
         if staging.in_force:
@@ -345,5 +366,7 @@ class DryRun:
 
         for result, states, gates, obstacles in self._drawings:
             file = self.out / f"episode_{result.index:03d}.png"
-            save_figure(file, self._level, result, states, gates, obstacles)
+            save_figure(
+                file, self._level, result, states, gates, obstacles, isolated=self._isolated
+            )
             result.files["figure"] = file.name

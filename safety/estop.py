@@ -12,6 +12,7 @@ import contextlib
 import math
 import queue
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from crazyarena.crazyswarm_compat.commands import Command, Emergency
 from crazyarena.errors import InputError
 
 _REPEATS = 15  # as Crazyswarm2 does; the command is not acknowledged
+_MOST_ERRORS = 100  # that are kept
 _INTERVAL = 0.02  # s, between repeats: a burst loss of 0.3 s does not swallow them all
 
 
@@ -47,6 +49,17 @@ class StopButton(Protocol):
 
     def tested(self) -> None: ...
 
+    def outcome(self, final: bool) -> str | None:
+        """What became of a stop, for whoever pulled it: begins with ``stopped`` if a vehicle's
+        link has confirmed. None: not known yet, ask again; never if ``final``."""
+        ...
+
+
+def say_loudly(text: str) -> None:
+    """Tell the operator, whose terminal may be gone."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        print(f"\ncrazyarena: EMERGENCY STOP: {text}", file=sys.stderr, flush=True)
+
 
 class Hold(Protocol):
     """What says whether the operator holds on: a :class:`DeadMan`, or what asks one elsewhere."""
@@ -70,6 +83,7 @@ class EmergencyStop:
         self._listeners: list[Callable[[Stop], None]] = []
         self._thread: threading.Thread | None = None
         self._wake = threading.Event()
+        self._taken: list[bool] = [False] * len(self._links)
         self.errors: list[str] = []
         self.last_test: float | None = None
 
@@ -95,7 +109,7 @@ class EmergencyStop:
             try:
                 listener(stop)
             except Exception as error:  # a recorder that fails must not keep the motors on
-                self.errors.append(f"{type(error).__name__}: {error}")
+                self._fault(error)
         self._thread = threading.Thread(target=self._repeat, name="estop", daemon=True)
         # Without another thread the first packet has to be enough; the vehicle's own watchdog
         # follows within a second.
@@ -107,12 +121,50 @@ class EmergencyStop:
         before = -math.inf if self.last_test is None else self.last_test
         self.last_test = max(self._clock.now() - ago, before)
 
+    def outcome(self, final: bool) -> str | None:
+        """See :class:`StopButton`.
+
+        A link confirms by its ``stopped_since(time)``: how many of its vehicles have said that
+        their motors are locked, or, if they never say, that they still hear; the time is that of
+        the stop. One without that method carries out what it is sent.
+        """
+        stop = self._stop
+        if stop is None:
+            return "no stop was pulled" if final else None
+        confirmed = vehicles = 0
+        for taken, link in zip(self._taken, self._links, strict=True):
+            number = len(getattr(link, "vehicles", (0,)))
+            ask = getattr(link, "stopped_since", None)
+            vehicles += number
+            if taken:
+                confirmed += number if ask is None else ask(stop.time)
+        if confirmed == vehicles and confirmed:
+            return "stopped"
+        if not final:
+            return None
+        if confirmed:
+            return f"stopped, but only {confirmed} of {vehicles} vehicles confirm"
+        why = self.errors[-1] if self.errors else "no vehicle confirms"
+        return f"sent, not confirmed: {why if self._links else 'no vehicle is connected'}"
+
     def _send(self) -> None:
-        for link in self._links:
+        for index, link in enumerate(self._links):
             try:
                 link.send(Emergency(), None)
+                self._taken[index] = True
             except Exception as error:
-                self.errors.append(f"{type(error).__name__}: {error}")
+                self._fault(error)
+                # One that cannot be reached must not keep it from the others of its link.
+                for vehicle in getattr(link, "vehicles", ()):
+                    try:
+                        link.send(Emergency(), vehicle)
+                        self._taken[index] = True
+                    except Exception as another:
+                        self._fault(another)
+
+    def _fault(self, error: Exception) -> None:
+        if len(self.errors) < _MOST_ERRORS:
+            self.errors.append(f"{type(error).__name__}: {error}")
 
     def _repeat(self) -> None:
         for _ in range(_REPEATS):
@@ -171,6 +223,10 @@ class Rehearsal:
     def tested(self) -> None:
         """As :meth:`EmergencyStop.tested`."""
         self.trigger("shell")
+
+    def outcome(self, final: bool) -> str:
+        """It was tried, and nothing was to be stopped."""
+        return "tested"
 
 
 @contextlib.contextmanager

@@ -1,4 +1,5 @@
-"""Where an emergency stop comes from: keyboard, gamepad, another shell, the network.
+"""Where an emergency stop comes from: keyboard, gamepad, the network; another shell is
+:mod:`.estop_socket`.
 
 Each source runs in a thread of its own, and from it pulls a
 :class:`~crazyarena.safety.estop.StopButton`.
@@ -7,135 +8,42 @@ Each source runs in a thread of its own, and from it pulls a
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-import secrets
 import select
-import socket
 import sys
-import tempfile
 import threading
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from crazyarena.errors import DependencyMissing, InputError
-from crazyarena.mocap.zenoh_link import open_session
-from crazyarena.safety.estop import DeadMan, StopButton
-from crazyarena.safety.estop_token import TokenCheck, make_message
+from crazyarena.mocap.zenoh_session import open_session
+from crazyarena.plain_text import shown_line
+from crazyarena.safety.estop import DeadMan, StopButton, say_loudly
+from crazyarena.safety.estop_local import runtime_folder, stop_local
+from crazyarena.safety.estop_socket import SocketSource
+from crazyarena.safety.estop_token import MAX_BYTES, TokenCheck, make_message
+
+__all__ = [
+    "ZENOH_KEY",
+    "ZENOH_SESSION_KEY",
+    "GamepadSource",
+    "KeyboardSource",
+    "SocketSource",
+    "ZenohSource",
+    "keyboard_trouble",
+    "open_gamepad",
+    "runtime_folder",
+    "stop_local",
+    "stop_over_zenoh",
+]
 
 ZENOH_KEY = "crazyarena/estop"
 ZENOH_SESSION_KEY = "crazyarena/estop/session"
 
+_KEYS = 4096  # bytes, read at once: a stop must not wait behind what somebody pasted
 _TICK = 0.1  # s, at which threads look whether they should end
 _STOP_KEYS = frozenset(" \r\n\x1bqQ")
 _HOLD_KEYS = frozenset("hH")
-
-
-def runtime_folder() -> Path:
-    """Folder of this user's stop sockets, made on demand, closed to others."""
-    base = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(base or tempfile.gettempdir()) / f"crazyarena-{os.getuid()}"
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    owner = folder.stat()
-    if owner.st_uid != os.getuid() or owner.st_mode & 0o077:
-        raise InputError(f"{folder}: belongs to somebody else or is open to others; remove it")
-    return folder
-
-
-class SocketSource:
-    """Listens for ``crazyarena estop`` from other shells of the same user.
-
-    The socket is a datagram socket in a folder only its owner can enter; whatever arrives is a
-    stop, except ``{"test": true}``, which is a rehearsal.
-
-    Raises
-    ------
-    InputError: no socket can be made in the folder.
-    """
-
-    def __init__(self, stop: StopButton, folder: Path | None = None) -> None:
-        self._stop = stop
-        # Not by pid alone: containers that share the folder count theirs from one.
-        name = f"estop-{os.getpid()}-{secrets.token_hex(3)}.sock"
-        self.path = (folder or runtime_folder()) / name
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind(str(self.path))
-        except OSError as error:
-            self._socket.close()
-            raise InputError(
-                f"{self.path}: cannot listen here for stops from other shells: {error}. Set "
-                "XDG_RUNTIME_DIR to a folder of yours with a short name"
-            ) from error
-        self._socket.settimeout(_TICK)
-        self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="estop-socket", daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        while not self._closed.is_set():
-            try:
-                payload, sender = self._socket.recvfrom(2048)
-            except TimeoutError:
-                continue
-            except OSError:
-                return
-            fields: Any = None
-            with contextlib.suppress(ValueError):
-                fields = json.loads(payload)
-            if isinstance(fields, dict) and fields.get("test") is True:
-                self._stop.tested()
-                answer = b"tested"
-            else:
-                reason = fields.get("reason", "") if isinstance(fields, dict) else ""
-                self._stop.trigger("shell", str(reason))
-                answer = b"stopped"
-            if sender:
-                with contextlib.suppress(OSError):
-                    self._socket.sendto(answer, sender)
-
-    def close(self) -> None:
-        """Idempotent."""
-        self._closed.set()
-        self._thread.join(timeout=2 * _TICK + 0.5)
-        self._socket.close()
-        self.path.unlink(missing_ok=True)
-
-
-def stop_local(
-    reason: str = "", test: bool = False, folder: Path | None = None, timeout: float = 0.5
-) -> list[tuple[str, str]]:
-    """Stop every running session of this user.
-
-    Returns
-    -------
-    For each, the name of its socket and its answer: ``stopped``, ``tested`` or ``no answer``.
-    Sockets nobody listens on any more are removed.
-    """
-    folder = folder or runtime_folder()
-    payload = json.dumps({"test": True} if test else {"reason": reason}).encode()
-    answers = []
-    with (
-        tempfile.TemporaryDirectory(prefix="crazyarena-") as own,
-        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
-    ):
-        sender.bind(str(Path(own) / "reply"))
-        sender.settimeout(timeout)
-        for path in sorted(folder.glob("estop-*.sock")):
-            try:
-                sender.sendto(payload, str(path))
-            except (ConnectionRefusedError, FileNotFoundError):
-                path.unlink(missing_ok=True)
-                continue
-            except OSError as error:
-                answers.append((path.name, f"not sent: {error.strerror}"))
-                continue
-            try:
-                answers.append((path.name, sender.recv(64).decode("utf-8", "replace")))
-            except TimeoutError:
-                answers.append((path.name, "no answer"))
-    return answers
 
 
 class ZenohSource:
@@ -144,7 +52,7 @@ class ZenohSource:
     Parameters
     ----------
     check: with a secret, what bears no valid token is refused and counted.
-    connect, listen: zenoh endpoints, see :func:`crazyarena.mocap.zenoh_link.open_session`.
+    connect, listen: zenoh endpoints, see :func:`crazyarena.mocap.zenoh_session.open_session`.
     """
 
     def __init__(
@@ -157,7 +65,7 @@ class ZenohSource:
     ) -> None:
         self._stop = stop
         self.check = check
-        self._session = open_session(connect, listen)
+        self._session = open_session(connect, listen, network=True)
         import zenoh
 
         handler = zenoh.handlers.Callback(self._receive, indirect=False)
@@ -165,12 +73,19 @@ class ZenohSource:
         self._queryable = self._session.declare_queryable(f"{key}/session", self._answer)
 
     def _receive(self, sample: Any) -> None:
-        reason = self.check.accept(sample.payload.to_bytes())
-        if reason is not None:
-            self._stop.trigger("zenoh", reason)
+        # In a thread of zenoh's, which nothing that is sent may end.
+        try:
+            payload = sample.payload
+            # What is longer is no message of ours, and not copied to be looked at.
+            reason = self.check.accept(payload.to_bytes() if len(payload) <= MAX_BYTES else b"")
+            if reason is not None:
+                self._stop.trigger("zenoh", shown_line(reason))
+        except Exception as error:
+            say_loudly(f"a message over zenoh was not understood: {type(error).__name__}: {error}")
 
     def _answer(self, query: Any) -> None:
-        query.reply(query.key_expr, self.check.session)
+        with contextlib.suppress(Exception):  # who asked may be gone
+            query.reply(query.key_expr, self.check.session)
 
     def close(self) -> None:
         """Leave the network."""
@@ -191,7 +106,7 @@ def stop_over_zenoh(
     Sent at once for whoever needs no session name, and again to each session that answers
     within ``patience`` s.
     """
-    session = open_session(connect)
+    session = open_session(connect, network=True)
     try:
         import zenoh
 
@@ -251,11 +166,17 @@ class KeyboardSource:
     Parameters
     ----------
     stream: a terminal's file descriptor; standard input by default.
+    say: told when its keys cannot stop any more.
     """
 
     def __init__(
-        self, stop: StopButton, dead_man: DeadMan | None = None, stream: int | None = None
+        self,
+        stop: StopButton,
+        dead_man: DeadMan | None = None,
+        stream: int | None = None,
+        say: Callable[[str], None] = say_loudly,
     ) -> None:
+        self._say = say
         self._stop = stop
         self._dead_man = dead_man
         self._stream = sys.stdin.fileno() if stream is None else stream
@@ -271,14 +192,16 @@ class KeyboardSource:
 
     def _run(self) -> None:
         while not self._closed.is_set():
-            ready, _, _ = select.select([self._stream], [], [], _TICK)
-            if not ready:
-                continue
             try:
-                keys = os.read(self._stream, 64).decode("utf-8", "replace")
-            except OSError:
+                ready, _, _ = select.select([self._stream], [], [], _TICK)
+                if not ready:
+                    continue
+                keys = os.read(self._stream, _KEYS).decode("utf-8", "replace")
+            except (OSError, ValueError) as error:
+                self._say(f"the terminal is gone ({error}): its keys do not stop any more")
                 return
             if not keys:
+                self._say("the terminal is gone: its keys do not stop any more")
                 return
             if any(key in _STOP_KEYS for key in keys):
                 self._stop.trigger("keyboard", "key pressed")
@@ -318,6 +241,7 @@ class GamepadSource:
         gamepad found.
     stop_button, hold_button: codes of linux/input-event-codes.h; 0x131 is the right one of the
         four (B), 0x136 the left shoulder.
+    say: told when it cannot stop any more.
     """
 
     def __init__(
@@ -327,7 +251,9 @@ class GamepadSource:
         device: Any = None,
         stop_button: int = 0x131,
         hold_button: int = 0x136,
+        say: Callable[[str], None] = say_loudly,
     ) -> None:
+        self._say = say
         self._stop = stop
         self._dead_man = dead_man
         self._device = device if device is not None else open_gamepad("auto", stop_button)
@@ -343,12 +269,15 @@ class GamepadSource:
             try:
                 ready, _, _ = select.select([self._device.fd], [], [], _TICK)
                 events = list(self._device.read()) if ready else []
-            except OSError:
+            except (OSError, ValueError) as error:
                 if self._dead_man is not None:
                     self._dead_man.released()
+                if not self._closed.is_set():
+                    self._say(f"the gamepad is gone ({error}): it does not stop any more")
                 return
             for event in events:
-                self._take(event)
+                with contextlib.suppress(AttributeError, TypeError):  # an event of another kind
+                    self._take(event)
             if self._held and self._dead_man is not None:
                 self._dead_man.held()
 

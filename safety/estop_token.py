@@ -15,11 +15,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from crazyarena.errors import InputError
+import crazyarena.secret
 
 _WINDOW = 30.0  # s, for messages that name no session; hosts' clocks may differ by so much
-_MAX_BYTES = 2048
-_MIN_SECRET = 16
+MAX_BYTES = 2048
 _MAX_LABEL = 80
 _VERSION = "crazyarena-estop-1"
 
@@ -31,19 +30,7 @@ def read_secret(path: Path) -> bytes:
     ------
     InputError: no file, too short a secret, or one that others can read.
     """
-    try:
-        mode = path.stat().st_mode
-        secret = path.read_bytes().strip()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the stop token: {error.strerror}") from None
-    if mode & 0o077:
-        raise InputError(f"{path}: others can read the stop token; run: chmod 600 {path}")
-    if len(secret) < _MIN_SECRET:
-        raise InputError(
-            f"{path}: the stop token has {len(secret)} bytes; need {_MIN_SECRET} or more, e.g. "
-            "from: openssl rand -hex 32"
-        )
-    return secret
+    return crazyarena.secret.read_secret(path, "stop token")
 
 
 def _mac(secret: bytes, session: str, nonce: str, stamp: float, reason: str) -> str:
@@ -97,10 +84,10 @@ class TokenCheck:
 
     def _verified(self, payload: bytes, secret: bytes) -> str | None:
         try:
-            fields = json.loads(payload) if len(payload) <= _MAX_BYTES else {}
+            fields = json.loads(payload) if len(payload) <= MAX_BYTES else {}
             nonce, session = str(fields["nonce"]), str(fields["session"])
             stamp, reason, mac = float(fields["time"]), str(fields["reason"]), str(fields["mac"])
-        except (ValueError, TypeError, KeyError, RecursionError):
+        except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
             return None
         expected = _mac(secret, session, nonce, stamp, reason)
         if not hmac.compare_digest(expected.encode(), mac.encode("utf-8", "replace")):
@@ -117,6 +104,7 @@ class TokenCheck:
 def _reason_of(payload: bytes) -> str:
     """Best guess at a reason; whatever was sent, somebody meant to stop."""
     try:
-        return str(json.loads(payload[:_MAX_BYTES])["reason"])
+        reason = json.loads(payload[:MAX_BYTES])["reason"]
+        return reason if isinstance(reason, str) else ""
     except (ValueError, TypeError, KeyError, RecursionError):
         return payload[:80].decode("utf-8", "replace")

@@ -216,19 +216,28 @@ def track_zones(level: Level, margin: float) -> list[Zone]:
         if gate.tracked:
             continue
         x, y, z = gate.centre
-        for name, solid in _gate_solids(x, y, z, gate.z, gate.yaw, gate.type):
+        for name, solid in gate_solids(x, y, z, gate.z, gate.yaw, gate.type):
             zones.append(Zone(f"gate {index} {name}", solid, margin))
     for index, post in enumerate(level.track.obstacles):
         name = f"obstacle {index}"
-        pole = Cylinder(post.x, post.y, 0.05, post.z, post.z + 0.925)
-        foot = _bar(post.x, post.y, post.yaw, 0.0, 0.075, 0.075, post.z, post.z + 0.25)
+        pole, foot = pole_solids(post.x, post.y, post.z, post.yaw)
         zones += [Zone(name, pole, margin), Zone(f"{name} foot", foot, margin)]
     return zones
 
 
-def _gate_solids(
+def pole_solids(x: float, y: float, foot: float, yaw: float) -> list[Shape]:
+    """An obstacle with its foot at height ``foot``: pole, then the foot itself."""
+    return [
+        Cylinder(x, y, 0.05, foot, foot + 0.925),
+        _bar(x, y, yaw, 0.0, 0.075, 0.075, foot, foot + 0.25),
+    ]
+
+
+def gate_solids(
     x: float, y: float, z: float, foot: float, yaw: float, kind: GateType
 ) -> list[tuple[str, Shape]]:
+    """Frame and stand of a gate whose opening is centred at x, y, z, by name."""
+
     def beam(lateral: float, half: float, low: float, high: float) -> Shape:
         return _bar(x, y, yaw, lateral, half, 0.025, low, high)
 

@@ -21,12 +21,13 @@ from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.checks import check, verb
 from crazyarena.errors import CommandError
 from crazyarena.safety.admission.fitters import FITTERS
-from crazyarena.safety.admission.memory import Refused, VehicleMemory
+from crazyarena.safety.admission.memory import FLYING, Refused, VehicleMemory
 from crazyarena.safety.admission.room import Room
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.observation import Point
+from crazyarena.safety.old_poses import repeats
 from crazyarena.safety.planner import Flown
 from crazyarena.types import Pose, Telemetry, VehicleState
 
@@ -79,6 +80,8 @@ class CommandGate:
         self._vehicles = {vehicle: VehicleMemory(vehicle) for vehicle in backend.vehicles}
         self._closed_reason: str | None = None
         self.passed = self.changed = self.refused = self.poses_dropped = 0
+        self.grounded: Callable[[], str | None] | None = None
+        """Why nothing may take off now, in words, or None; asked at every take-off."""
         self.runner = GatePort(self, trusted=False)
         self.safety = GatePort(self, trusted=True)
 
@@ -102,8 +105,8 @@ class CommandGate:
         """Forward what a vehicle may believe: its estimator fuses whatever it is given.
 
         Dropped, and counted in ``poses_dropped``: what is not finite, what repeats the last one
-        to the bit (an old pose in a new frame), and, in flight, what is further from the
-        vehicle's own estimate than it can have gone.
+        (an old pose in a new frame; in flight also with a jitter of micrometres), and, in
+        flight, what is further from the vehicle's own estimate than it can have gone.
         """
         good = {}
         for vehicle, pose in poses.items():
@@ -118,15 +121,12 @@ class CommandGate:
         memory = self._vehicles.get(vehicle)
         if memory is None:
             return False
-        last, memory.forwarded = memory.forwarded, pose
         if not np.isfinite(pose.position).all() or np.isinf(pose.quaternion).any():
             return False
-        if (
-            last is not None
-            and np.array_equal(last.position, pose.position)
-            and np.array_equal(last.quaternion, pose.quaternion, equal_nan=True)
-        ):
+        last = memory.forwarded
+        if last is not None and repeats(last, pose, memory.flying_since is not None):
             return False
+        memory.forwarded = pose
         own = self._backend.telemetry(vehicle).state
         if memory.flying_since is None or own is None:
             return True
@@ -151,6 +151,12 @@ class CommandGate:
     def end_trial(self, reason: str) -> None:
         """From now on the runner's commands are refused, except those that stop motors."""
         self._closed_reason = reason
+
+    def renew(self) -> None:
+        """Begin anew, with vehicles that were switched off and on: nothing is remembered."""
+        with self._lock:
+            self._closed_reason = None
+            self._vehicles = {vehicle: VehicleMemory(vehicle) for vehicle in self.vehicles}
 
     def take(self, vehicle: int) -> None:
         """The watchdog has this vehicle; the runner's commands to it are refused."""
@@ -236,6 +242,11 @@ class CommandGate:
                 )
             if self._vehicles[target].taken:
                 raise Refused(f"cf{target}: {verb(command)}: the watchdog has taken over")
+        if isinstance(command, FLYING) and self.grounded is not None:
+            standing = [t for t in targets if self._vehicles[t].flying_since is None]
+            reason = self.grounded() if standing else None
+            if reason is not None:
+                raise Refused(f"cf{standing[0]}: {verb(command)}: {reason}")
         now = self._clock.now()
         for target in targets:
             memory = self._vehicles[target]

@@ -45,7 +45,7 @@ class Ladder:
             self._take(time, finding, events)
         if landed and self.action.takes_over and not self.landed:
             self.landed = True
-            events.append(self._event("landed", Action.NONE, math.nan, math.nan, time))
+            events.append(self._event(Finding("landed", Action.NONE, math.nan, math.nan), time))
         held = time - self.since
         if self.landed:
             return events
@@ -69,20 +69,23 @@ class Ladder:
         elif (finding.rule, finding.action) in self._told:
             return
         self._told.add((finding.rule, finding.action))
-        events.append(
-            self._event(finding.rule, finding.action, finding.measured, finding.limit, time)
-        )
+        events.append(self._event(finding, time))
 
     def _climb(self, time: float, finding: Finding, events: list[SafetyEvent]) -> None:
         self.action = finding.action
         self.since = time
         self._warned[finding.rule] = time
         self._told.add((finding.rule, finding.action))
-        events.append(
-            self._event(finding.rule, finding.action, finding.measured, finding.limit, time)
-        )
+        events.append(self._event(finding, time))
 
-    def _event(
-        self, rule: str, severity: Action, measured: float, limit: float, time: float
-    ) -> SafetyEvent:
-        return SafetyEvent(rule, severity, measured, limit, self.action, time, self._vehicle)
+    def _event(self, finding: Finding, time: float) -> SafetyEvent:
+        return SafetyEvent(
+            finding.rule,
+            finding.action,
+            finding.measured,
+            finding.limit,
+            self.action,
+            time,
+            self._vehicle,
+            finding.detail,
+        )

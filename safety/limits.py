@@ -32,6 +32,8 @@ class Limits:
     max_speed: m/s, of the vehicle; the gate lets setpoints ask for ``setpoint_speed``.
     max_tilt, tumble_tilt: rad.
     pose_warn, pose_hold, pose_land, pose_cut: age of the last good pose, s.
+    camera_rate: Hz, that cameras must deliver: at a tenth of a second from frame to frame nobody
+        sees in time. Fewer are a warning in flight, and keep vehicles on the ground.
     bad_pose_time: how long the cameras may deliver poses that are not believed, s.
     disagreement: m between cameras and the vehicle's own estimate.
     link_warn, link_hold, link_cut: silence of the vehicle, s.
@@ -42,7 +44,11 @@ class Limits:
     controller_warn, controller_hold: s since the contestant's last answer; setpoints that stay
         away longer than 0.5 s would make the firmware level out.
     late_warn, late_hold: lateness of a control step, s.
+    turn_warn: rad that a rigid body may be turned against its vehicle (safety/heading.py).
+    turn_cut: the same at which motors are cut: hold and land need the heading.
+    yaw_warn, yaw_cut: rad by which cameras and gyroscope may come apart in yaw.
     clock_step: s, between two clocks that should run alike.
+    neighbour_warn, neighbour_hold: m between the centres of two vehicles in the air.
     people_distance: m between a vehicle and a person, horizontally, at which motors are cut.
     dead_man: s since the operator last held the key.
     hold_time: s, from HOLD to LAND.
@@ -78,6 +84,8 @@ class Limits:
     pose_hold: float = 0.15
     pose_land: float = 0.5
     pose_cut: float = 3.5
+    camera_rate: float = 30.0
+    camera_rate_time: float = 0.5
     bad_pose_time: float = 0.1
     disagreement: float = 0.4
     disagreement_time: float = 0.2
@@ -99,7 +107,13 @@ class Limits:
     controller_hold: float = 0.4
     late_warn: float = 0.03
     late_hold: float = 0.25
+    turn_warn: float = 0.26
+    turn_cut: float = 0.52
+    yaw_warn: float = 0.25
+    yaw_cut: float = 0.5
     clock_step: float = 0.05
+    neighbour_warn: float = 0.3
+    neighbour_hold: float = 0.2
     people_distance: float = 1.0
     dead_man: float = 0.5
     hold_time: float = 1.0
@@ -132,10 +146,13 @@ class Limits:
         self._ordered("link_warn", "link_hold", "link_cut")
         self._ordered("controller_warn", "controller_hold")
         self._ordered("late_warn", "late_hold")
+        self._ordered("neighbour_hold", "neighbour_warn")
         self._ordered("quality_land", "quality_warn")
         self._ordered("battery_land", "battery_warn")
         self._ordered("following", "following_land")
         self._ordered("max_tilt", "tumble_tilt")
+        self._ordered("turn_warn", "turn_cut")
+        self._ordered("yaw_warn", "yaw_cut")
         self._ordered("setpoint_speed", "max_speed")
 
     def _ordered(self, *names: str) -> None:

@@ -183,7 +183,9 @@ class LinkLoss:
         return None if share >= 1.0 else _along(_ORIGIN, velocity, share)
 
     def _share(self, excess: Callable[[float], float]) -> float:
-        if excess(1.0) <= self._margin:
+        asked = excess(1.0)
+        # One who is too far out already is not kept from coming back.
+        if asked <= self._margin or asked <= excess(0.0):
             return 1.0
         return largest_share(lambda share: excess(share) <= self._margin, _BISECTIONS)
 

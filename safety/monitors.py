@@ -15,7 +15,8 @@ from crazyarena.safety.events import Action
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.observation import Observation, Point
+from crazyarena.safety.observation import Observation
+from crazyarena.safety.stopping import stopping_path
 
 # Bits of the firmware's ``supervisor.info``.
 CAN_FLY, TUMBLED, LOCKED, CRASHED = 1 << 3, 1 << 5, 1 << 6, 1 << 7
@@ -52,6 +53,7 @@ class Rule:
     ----------
     stages: each is watched by itself.
     below: small values are the bad ones.
+    tell: what else there is to say about it.
     """
 
     name: str
@@ -59,16 +61,18 @@ class Rule:
     measure: Measure
     stages: tuple[Stage, ...]
     below: bool = False
+    tell: Callable[[Observation], str] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A rule that is broken now."""
+    """A rule that is broken now; ``detail`` is for people."""
 
     rule: str
     action: Action
     measured: float
     limit: float
+    detail: str = ""
 
 
 def _number(value: float | str, limits: Limits) -> float:
@@ -83,27 +87,6 @@ def _told(name: str) -> Measure:
         return None if value is None else float(value)
 
     return measure
-
-
-def stopping_path(obs: Observation, limits: Limits) -> tuple[Point, Point]:
-    """Where the vehicle is when it begins to brake, and where it comes to rest.
-
-    Until the command bites (``limits.reaction``) it goes on with the acceleration its attitude
-    gives it, so that one who brakes already is not taken for one who runs away; then it brakes
-    along its velocity with ``limits.braking``.
-    """
-    assert obs.position is not None
-    (x, y, z), (vx, vy, vz) = obs.position, obs.velocity
-    ax, ay = obs.horizontal_acceleration(limits.braking)
-    t = limits.reaction
-    towards_rest = -(vx * ax + vy * ay)
-    if towards_rest > 0.0:
-        t = min(t, towards_rest / (ax * ax + ay * ay))
-    half = 0.5 * t * t
-    x, y, z = x + vx * t + ax * half, y + vy * t + ay * half, z + vz * t
-    vx, vy = vx + ax * t, vy + ay * t
-    stop = math.sqrt(vx * vx + vy * vy + vz * vz) / (2.0 * limits.braking)
-    return (x, y, z), (x + vx * stop, y + vy * stop, z + vz * stop)
 
 
 def _least_on_path(
@@ -187,6 +170,33 @@ def _clock(obs: Observation, fence: Fence, limits: Limits) -> float | None:
     return None if obs.clock_error is None else abs(obs.clock_error)
 
 
+# Shares of an angle that must be beyond its own uncertainty to be believed.
+WARN_SURELY, CUT_SURELY = 0.4, 0.6
+
+
+def _turned(obs: Observation, fence: Fence, limits: Limits) -> float | None:
+    return _at_least(obs, WARN_SURELY * limits.turn_warn)
+
+
+def _turned_far(obs: Observation, fence: Fence, limits: Limits) -> float | None:
+    return _at_least(obs, CUT_SURELY * limits.turn_cut)
+
+
+def _at_least(obs: Observation, surely: float) -> float | None:
+    turned = obs.turned
+    if turned is None:
+        return None
+    return abs(turned.angle) if turned.surely >= surely else 0.0
+
+
+def _yaw_apart(obs: Observation, fence: Fence, limits: Limits) -> float | None:
+    return None if obs.turned is None else abs(obs.turned.yaw)
+
+
+def _how_turned(obs: Observation) -> str:
+    return "" if obs.turned is None else obs.turned.remedy
+
+
 WARN, HOLD, LAND, CUT = Action.WARN, Action.HOLD, Action.LAND, Action.CUT
 
 RULES: tuple[Rule, ...] = (
@@ -211,6 +221,20 @@ RULES: tuple[Rule, ...] = (
         (Stage(0.0, HOLD),),
     ),
     Rule("people_zone", When.AIRBORNE, _people_zone, (Stage(0.0, CUT),)),
+    Rule(
+        "neighbour",
+        When.AIRBORNE,
+        _told("neighbour"),
+        (Stage("neighbour_warn", WARN), Stage("neighbour_hold", HOLD)),
+        below=True,
+    ),
+    Rule(
+        "neighbour_predicted",
+        When.AIRBORNE,
+        _told("neighbour_predicted"),
+        (Stage("neighbour_hold", HOLD),),
+        below=True,
+    ),
     Rule("speed", When.AIRBORNE, _speed, (Stage("max_speed", HOLD, "speed_time"),)),
     Rule("tilt", When.AIRBORNE, _tilt, (Stage("max_tilt", HOLD, "tilt_time"),)),
     Rule("tumble", When.AIRBORNE, _tilt, (Stage("tumble_tilt", CUT, "tumble_time"),)),
@@ -230,6 +254,13 @@ RULES: tuple[Rule, ...] = (
         When.ACTIVE,
         _told("doubted"),
         (Stage(0.0, WARN), Stage("bad_pose_time", HOLD)),
+    ),
+    Rule(
+        "camera_rate",
+        When.ACTIVE,
+        _told("camera_rate"),
+        (Stage("camera_rate", WARN, "camera_rate_time"),),
+        below=True,
     ),
     Rule("body_swap", When.ACTIVE, _told("swapped"), (Stage(0.5, HOLD),)),
     Rule(
@@ -297,6 +328,17 @@ RULES: tuple[Rule, ...] = (
         _told("lateness"),
         (Stage("late_warn", WARN), Stage("late_hold", HOLD)),
     ),
+    # While the vehicle still stands there is nothing to see, and once it has left the ground there
+    # is little time.
+    Rule("body_turned", When.ACTIVE, _turned, (Stage("turn_warn", WARN),), tell=_how_turned),
+    Rule("body_turned_far", When.ACTIVE, _turned_far, (Stage("turn_cut", CUT),), tell=_how_turned),
+    Rule(
+        "yaw_apart",
+        When.ACTIVE,
+        _yaw_apart,
+        (Stage("yaw_warn", WARN), Stage("yaw_cut", CUT)),
+        tell=_how_turned,
+    ),
     Rule("clock_jump", When.ACTIVE, _clock, (Stage("clock_step", LAND),)),
     Rule(
         "person_near",
@@ -335,7 +377,8 @@ class Monitor:
             if held is None or held < time - 1e-9 or measured is None:
                 continue
             if worst is None or action > worst.action:
-                worst = Finding(self.rule.name, action, measured, limit)
+                detail = "" if self.rule.tell is None else self.rule.tell(obs)
+                worst = Finding(self.rule.name, action, measured, limit, detail)
         return worst
 
     def _measure(self, obs: Observation, overriding: bool) -> float | None:

@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-GRAVITY = 9.81
+from crazyarena.safety.heading import GRAVITY, Point, Turned
 
-Point = tuple[float, float, float]
 NOWHERE: Point = (math.nan, math.nan, math.nan)
 
 
@@ -30,6 +29,7 @@ class Observation:
     position, velocity: m, m/s, world; None when neither cameras nor vehicle know.
     quaternion: x, y, z, w.
     pose_age: s since the capture of the last believed pose; inf before the first.
+    camera_rate: Hz, of the frames of the last second.
     doubted: s for which poses have arrived that were not believed (0 while they are).
     swapped: this frame's bodies had exchanged names.
     onboard: the vehicle's own estimate of its position, if it is recent.
@@ -38,7 +38,10 @@ class Observation:
     controller_age: s since the contestant last answered or refreshed its streamed setpoint.
     lateness: of the last control step, s.
     clock_error: s by which two clocks that should run alike have drifted apart.
+    turned: what the vehicle's gyroscope says of the heading that cameras give it.
     dead_man_age: s since the operator last held the key; None when there is none to hold.
+    neighbour, neighbour_predicted: m to the nearest other vehicle in the air, now and if both were
+        told to stop now.
     person_distance: m to the nearest person, horizontally; person_depth: how far the one
         deepest inside the fence is inside, m (negative: all outside).
     strangers: bodies seen that nobody has named.
@@ -51,6 +54,7 @@ class Observation:
     velocity: Point = (0.0, 0.0, 0.0)
     quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     pose_age: float = 0.0
+    camera_rate: float | None = None
     doubted: float = 0.0
     swapped: bool = False
     onboard: Point | None = None
@@ -62,7 +66,10 @@ class Observation:
     controller_age: float | None = None
     lateness: float | None = None
     clock_error: float | None = None
+    turned: Turned | None = None
     dead_man_age: float | None = None
+    neighbour: float | None = None
+    neighbour_predicted: float | None = None
     person_distance: float | None = None
     person_depth: float | None = None
     strangers: int = 0

@@ -25,6 +25,7 @@ _BELOW_GROUND = 0.3  # m, where the descent ends
 _TOUCHDOWN = 0.06  # m above where it stood: counts as down
 _STILL = 0.25  # m/s
 _REST_TIME = 0.3  # s of touching down until the motors are stopped
+_UPWARDS = 2.5  # m/s2, with which a climb is braked
 _AGILITY = 25.0  # m/s2, more than a vehicle has
 _BRIDGE = 0.2  # s without a position, after which any velocity is believed again
 _STOP_TIME = 0.5  # s for which the stop is repeated
@@ -44,7 +45,7 @@ class SafePilot:
         self._link_loss = LinkLoss(fence, limits)
         self.ground = ground
         self._begun = -math.inf
-        self._brake: tuple[Point, Point, float] | None = None
+        self._brake: tuple[Point, Point, Point] | None = None  # from, at, and for so long by axis
         self._place: Point = (0.0, 0.0, 0.0)
         self._target: Point = (0.0, 0.0, 0.0)
         self._yaw = 0.0
@@ -123,10 +124,12 @@ class SafePilot:
             self._place = self._target = obs.setpoint or (0.0, 0.0, self.ground + 0.5)
             return
         velocity = self._velocity
-        time = math.hypot(*velocity) / self._limits.braking
-        (x, y, z), (vx, vy, vz) = position, velocity
-        self._brake = (position, velocity, time)
-        rest = (x + 0.5 * vx * time, y + 0.5 * vy * time, z + 0.5 * vz * time)
+        stop = math.hypot(*velocity) / self._limits.braking
+        # A climb is braked gently: rotors that stand still cannot steer.
+        times = (stop, stop, max(stop, velocity[2] / _UPWARDS))
+        self._brake = (position, velocity, times)
+        x, y, z = (p + 0.5 * v * t for p, v, t in zip(position, velocity, times, strict=True))
+        rest = (x, y, z)
         rest = (rest[0], rest[1], max(rest[2], self.ground + 0.1))
         self._place = rest
         try:
@@ -150,19 +153,12 @@ class SafePilot:
 
     def _fly(self, action: Action, obs: Observation) -> FullState:
         elapsed = obs.time - self._begun
-        if self._brake is not None and elapsed < self._brake[2]:
-            (x, y, z), (vx, vy, vz), time = self._brake
-            left = 1.0 - elapsed / time
-            gone = elapsed * (1.0 - 0.5 * elapsed / time)
-            place = (x + vx * gone, y + vy * gone, max(z + vz * gone, self.ground + 0.05))
+        if self._brake is not None and elapsed < max(self._brake[2]):
+            axes = [_braked(*axis, elapsed) for axis in zip(*self._brake, strict=True)]
+            (x, vx, ax), (y, vy, ay), (z, vz, az) = axes
+            place = (x, y, max(z, self.ground + 0.05))
             self.reference = place
-            return FullState(
-                position=place,
-                velocity=(vx * left, vy * left, vz * left),
-                acceleration=(-vx / time, -vy / time, -vz / time),
-                yaw=self._yaw,
-                omega=(0.0, 0.0, 0.0),
-            )
+            return FullState(place, (vx, vy, vz), (ax, ay, az), self._yaw, (0.0, 0.0, 0.0))
         dt = obs.time - max(self._moved, self._begun)
         self._moved = obs.time
         velocity = self._advance(action, obs, dt)
@@ -191,3 +187,11 @@ class SafePilot:
                 vz = min(0.0, (lowest - z) / dt) if dt > 0.0 else 0.0
         self._place = (x + vx * dt, y + vy * dt, z + vz * dt)
         return vx, vy, vz
+
+
+def _braked(place: float, speed: float, time: float, now: float) -> tuple[float, float, float]:
+    """Place, speed and acceleration of one axis, ``now`` s into a stop that takes ``time``."""
+    if now >= time:
+        return place + 0.5 * speed * time, 0.0, 0.0
+    left = 1.0 - now / time
+    return place + speed * now * 0.5 * (1.0 + left), speed * left, -speed / time

@@ -19,13 +19,21 @@ import numpy as np
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels import Level
+from crazyarena.mocap.axes import recognised_axes
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
+from crazyarena.mocap.survey import misplaced
+from crazyarena.safety.axes import explain_axes
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import CAN_FLY, CRASHED, LOCKED, TUMBLED
+from crazyarena.safety.placement import allowed, nominal_track
 from crazyarena.types import Pose, Telemetry
 
+_LEANS = math.radians(15.0)
 _CAN_ARM, _ARMED = 1 << 0, 1 << 1
+# m that gates may be off before other axes are looked for that put them right.
+_ELSEWHERE = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +62,11 @@ class Tolerances:
     Attributes
     ----------
     battery: V, at rest.
+    turned: rad, between the noses of a vehicle and its body.
     position, yaw: between the cameras and the vehicle's own estimate, m and rad.
     spread: m, of the vehicle's estimate over the last samples.
     height: m, of a standing vehicle over the level's start.
-    gate_position, gate_yaw: between a surveyed gate and the level, beyond its random range.
+    camera_rate: Hz, at least.
     disk: bytes free. timer: s, latest wake-up of a short sleep.
     test_age: s, since the emergency stop was last tried. body_age: s, since a vehicle was tipped.
     """
@@ -65,10 +74,10 @@ class Tolerances:
     battery: float = 3.9
     position: float = 0.05
     yaw: float = math.radians(10.0)
+    turned: float = math.radians(10.0)
     spread: float = 0.01
     height: float = 0.05
-    gate_position: float = 0.1
-    gate_yaw: float = 0.15
+    camera_rate: float = Limits().camera_rate
     disk: int = 500_000_000
     timer: float = 0.002
     test_age: float = 3600.0
@@ -85,6 +94,8 @@ class VehicleFacts:
     controller: parameter ``stabilizer.controller``.
     tipped: the body that was tipped when this vehicle was, now or lately, see
         :func:`tipped_body`.
+    turned: rad by which that body's nose lies to the left of the vehicle's, see
+        :func:`nose_between`.
     """
 
     name: str
@@ -94,6 +105,7 @@ class VehicleFacts:
     own: Sequence[np.ndarray] = ()
     controller: int | None = None
     tipped: str | None = None
+    turned: float | None = None
 
 
 @dataclass(slots=True)
@@ -104,9 +116,11 @@ class Preflight:
     ----------
     gates: surveyed poses of the gates by index; empty if they were not surveyed.
     bodies: all bodies the cameras see; known: names that belong there.
+    camera_rate: Hz, of the cameras' frames; None if nobody counted.
     controller: what ``stabilizer.controller`` must be (2 Mellinger, 1 PID).
     out: folder recordings go to.
     machine_checks, vehicle_checks: what is looked at.
+    poses: where bodies are seen now, by name.
     """
 
     level: Level
@@ -115,6 +129,7 @@ class Preflight:
     bodies: Sequence[str] = ()
     known: Sequence[str] = ()
     controller: int = 2
+    camera_rate: float | None = None
     estop: EmergencyStop | None = None
     out: Path = Path(".")
     clock: Clock = field(default_factory=WallClock)
@@ -125,6 +140,7 @@ class Preflight:
     vehicle_checks: Sequence[Callable[[Preflight, VehicleFacts], list[Line]]] = field(
         default_factory=lambda: VEHICLE_CHECKS
     )
+    poses: Mapping[str, Pose] = field(default_factory=dict)
 
     def run(self, waive: Iterable[str] = ()) -> list[Line]:
         """All lines, in order.
@@ -178,23 +194,48 @@ def _gates(p: Preflight) -> list[Line]:
     wanted = p.level.track.gates
     missing = [index for index in range(len(wanted)) if index not in p.gates]
     remedy = "survey the gates, or correct their poses in the level file"
+    still = [i for i, gate in enumerate(wanted) if not gate.tracked and i in p.gates]
+    axes = explain_axes(
+        np.array([[*p.gates[i].position[:2], 0.0] for i in still]).reshape(-1, 3),
+        np.array([[wanted[i].x, wanted[i].y, 0.0] for i in still]).reshape(-1, 3),
+        _ELSEWHERE,
+    )
+    if axes is not None:
+        remedy = f"{axes}; correct its world frame"
     if missing:
         return [Line("gates", False, f"gates {missing} not surveyed", remedy)]
-    spread = p.level.randomization.gates_and_obstacles
-    room = max((abs(v) for v in spread.gates), default=0.0) if spread is not None else 0.0
-    t = p.tolerances
+    nominal, rules = nominal_track(p.level), allowed(p.level)
     bad = []
     for index, gate in enumerate(wanted):
         if gate.tracked:
             continue  # it moves; that it is seen is all that can be asked of it
-        pose = p.gates[index]
-        x, y, _ = pose.position.tolist()
-        off = math.hypot(x - gate.x, y - gate.y)
-        # A gate turned by half a turn is the same gate.
-        turn = abs(math.remainder(_yaw(pose.quaternion) - gate.yaw, math.pi))
-        if off > t.gate_position + math.sqrt(2.0) * room or turn > t.gate_yaw + room:
-            bad.append(f"gate {index} is {off:.2f} m and {math.degrees(turn):.0f} deg off")
+        name = f"gate{index + 1}"
+        wrong = misplaced(p.gates[index], nominal[name], rules[name], height=False)
+        if wrong is not None:
+            bad.append(f"gate {index} {wrong}")
+    for name, rule in rules.items():
+        if name in p.poses and not name.startswith("gate"):
+            wrong = misplaced(p.poses[name], nominal[name], rule, height=False)
+            if wrong is not None:
+                bad.append(f"{name} {wrong}")
     return [Line("gates", not bad, "; ".join(bad) or f"{len(wanted)} surveyed", remedy)]
+
+
+def check_axes(p: Preflight) -> list[Line]:
+    """Whether the cameras' world is ours, from what stands where it should and upright."""
+    track = p.level.track
+    places = {name: pose.position for name, pose in nominal_track(p.level).items()}
+    if len(p.vehicles) == 1:
+        places[p.vehicles[0].body] = np.array(p.level.start.position, dtype=float)
+    for i in track.tracked:
+        places.pop(f"gate{i + 1}", None)
+    standing = {name: pose for name, pose in p.poses.items() if name in places}
+    if not standing:
+        return []
+    axes = recognised_axes(standing, places)
+    found = "z up, as they should be" if axes is None else f"the stream is {axes}, ours is z-up"
+    remedy = "--mocap-option axes=y-up, or stream z up from the camera software"
+    return [Line("world axes", axes is None, found, remedy)]
 
 
 def check_strangers(p: Preflight) -> list[Line]:
@@ -202,6 +243,15 @@ def check_strangers(p: Preflight) -> list[Line]:
     unknown = sorted(set(p.bodies) - set(p.known) - set(vehicles))
     found = ", ".join(unknown) if unknown else f"{len(p.bodies)} bodies, all known"
     return [Line("arena clear", not unknown, found, "take them out of the arena, or name them")]
+
+
+def check_cameras(p: Preflight) -> list[Line]:
+    if p.camera_rate is None:
+        return []  # that they are silent, the vehicles' lines say
+    least = p.tolerances.camera_rate
+    found = f"{p.camera_rate:.0f} frames a second"
+    remedy = f"let the cameras deliver {least:g} or more, and nothing else use their network"
+    return [Line("camera rate", p.camera_rate >= least, found, remedy)]
 
 
 def check_disk(p: Preflight) -> list[Line]:
@@ -344,6 +394,19 @@ def check_body(p: Preflight, v: VehicleFacts) -> list[Line]:
     return [Line(f"{v.name} is body {v.body}", v.tipped == v.body, found, remedy)]
 
 
+def check_heading(p: Preflight, v: VehicleFacts) -> list[Line]:
+    if v.turned is None:
+        # It was not tipped: the line before says so, and grounds.
+        return [Line(f"{v.name} heading", True, "not measured; tip it by hand")]
+    degrees = math.degrees(v.turned)
+    remedy = (
+        f"turn the axes of body {v.body} by {-degrees:+.0f} deg about z in the motion-capture "
+        "software, so that its x axis is the vehicle's nose"
+    )
+    found = f"the body's nose is {degrees:+.0f} deg from the vehicle's"
+    return [Line(f"{v.name} heading", abs(v.turned) <= p.tolerances.turned, found, remedy)]
+
+
 def check_start(p: Preflight, v: VehicleFacts) -> list[Line]:
     name = f"{v.name} at start"
     remedy = "put it on the start position"
@@ -353,6 +416,16 @@ def check_start(p: Preflight, v: VehicleFacts) -> list[Line]:
     sx, sy, sz = p.level.start.position
     off = math.hypot(x - sx, y - sy)
     ok = off <= p.level.start.tolerance and abs(z - sz) <= p.tolerances.height
+    axes = explain_axes((x, y, z), (sx, sy, sz), p.level.start.tolerance)
+    if axes is not None:
+        remedy = f"{remedy}; or {axes}: correct its world frame"
+    if tilt(v.seen.state.quaternion) > _LEANS:
+        # It stands, so the cameras' z axis is not up, or the body's is not the vehicle's.
+        ok = False
+        degrees = math.degrees(tilt(v.seen.state.quaternion))
+        remedy = (
+            f"the cameras see it lean by {degrees:.0f} deg: correct their z axis, or the body's"
+        )
     return [Line(name, ok, f"{off:.2f} m off, {z - sz:+.2f} m in height", remedy)]
 
 
@@ -360,7 +433,9 @@ MACHINE_CHECKS: tuple[Callable[[Preflight], list[Line]], ...] = (
     _named,
     _fence,
     _gates,
+    check_axes,
     check_strangers,
+    check_cameras,
     check_disk,
     _governor,
     _timer,
@@ -374,6 +449,7 @@ VEHICLE_CHECKS: tuple[Callable[[Preflight, VehicleFacts], list[Line]], ...] = (
     check_estimate,
     check_controller,
     check_body,
+    check_heading,
     check_start,
 )
 
@@ -389,6 +465,22 @@ def tipped_body(bodies: Mapping[str, Pose], own: np.ndarray, least: float = 0.2)
         return None
     alike = [k for k, pose in bodies.items() if abs(tilt(pose.quaternion) - felt) < 0.5 * least]
     return alike[0] if len(alike) == 1 else None
+
+
+def nose_between(own: np.ndarray, body: np.ndarray) -> float:
+    """rad by which a body's nose lies to the left of its vehicle's, both tipped alike.
+
+    ``own`` and ``body`` are attitudes (x, y, z, w) of the vehicle, by its own sensors, and of the
+    body, by the cameras. Both know where up is, each in its own axes; nothing is asked of the
+    yaw of either. Only as good as the tilt: an error of attitude counts by 1 / sin(tilt).
+    """
+    return math.remainder(_leaning(own) - _leaning(body), math.tau)
+
+
+def _leaning(q: np.ndarray) -> float:
+    """Direction of the world's up across the body's own axes, rad."""
+    x, y, z, w = q.tolist()
+    return math.atan2(2.0 * (y * z + w * x), 2.0 * (x * z - w * y))
 
 
 def tilt(q: np.ndarray) -> float:

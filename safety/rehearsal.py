@@ -7,6 +7,7 @@ with the login.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -15,7 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from crazyarena.safety.estop_sources import runtime_folder
+from crazyarena.errors import InputError
+from crazyarena.safety.estop_local import runtime_folder
 
 _FILE = "rehearsed.json"
 _STOP = "stop"
@@ -32,8 +34,10 @@ class Rehearsals:
     """
 
     def __init__(self, folder: Path | None = None, wall: Callable[[], float] = time.time) -> None:
-        self._file = (folder or runtime_folder()) / _FILE
         self._wall = wall
+        self._file: Path | None = None  # where nothing can be kept, nothing was tried
+        with contextlib.suppress(InputError):
+            self._file = (folder or runtime_folder()) / _FILE
 
     def note_stop(self) -> None:
         """An emergency stop was tried now."""
@@ -43,21 +47,28 @@ class Rehearsals:
         """s since it was; inf if never."""
         return self._age(self._read().get(_STOP))
 
-    def note_body(self, uri: str, body: str) -> None:
-        """The vehicle at ``uri`` was seen to be this body now; no other vehicle is, then."""
+    def note_body(self, uri: str, body: str, turned: float | None = None) -> None:
+        """The vehicle at ``uri`` was seen to be this body now, with its nose ``turned`` rad from
+        the vehicle's; no other vehicle is, then."""
         bodies = {k: v for k, v in self._bodies().items() if v[0] != body}
-        self._change({_BODIES: {**bodies, uri: [body, self._wall()]}})
+        self._change({_BODIES: {**bodies, uri: [body, self._wall(), turned]}})
 
     def body(self, uri: str) -> tuple[str | None, float]:
         """Body that the vehicle at ``uri`` was last seen to be, and s since then."""
-        name, when = self._bodies().get(uri, (None, None))
+        name, when, *_ = self._bodies().get(uri, (None, None))
         return name, self._age(when)
+
+    def turned(self, uri: str) -> float | None:
+        """rad between the noses of that body and the vehicle; None if nobody has told."""
+        _, _, *turned = self._bodies().get(uri, (None, None))
+        known = turned and isinstance(turned[0], int | float) and math.isfinite(turned[0])
+        return float(turned[0]) if known else None
 
     def _bodies(self) -> dict[str, Any]:
         found = self._read().get(_BODIES)
         if not isinstance(found, dict):
             return {}
-        return {k: v for k, v in found.items() if isinstance(v, list) and len(v) == 2}
+        return {k: v for k, v in found.items() if isinstance(v, list) and len(v) in (2, 3)}
 
     def _age(self, when: Any) -> float:
         # A time in the future is that of a clock that was set: it says nothing.
@@ -65,13 +76,19 @@ class Rehearsals:
         return age if age >= 0.0 else math.inf
 
     def _read(self) -> dict[str, Any]:
+        if self._file is None:
+            return {}
         try:
-            found = json.loads(self._file.read_text())
-        except (OSError, ValueError):
+            found = json.loads(self._file.read_bytes())
+        except (OSError, ValueError, RecursionError):
             return {}
         return found if isinstance(found, dict) else {}
 
     def _change(self, entries: dict[str, Any]) -> None:
+        if self._file is None:
+            return
         part = self._file.with_name(f"{_FILE}.{os.getpid()}")
-        part.write_text(json.dumps({**self._read(), **entries}))
-        part.replace(self._file)
+        # What cannot be remembered is asked for again.
+        with contextlib.suppress(OSError):
+            part.write_text(json.dumps({**self._read(), **entries}))
+            part.replace(self._file)

@@ -17,29 +17,33 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from crazyarena.clock import Clock
 from crazyarena.errors import InputError
 from crazyarena.mocap.estimator import BodyEstimate, FrameResult, Freshness
 from crazyarena.mocap.events import EventKind
+from crazyarena.safety.camera_clock import CameraClock
 from crazyarena.safety.estop import EmergencyStop, Hold
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.frame_rate import FrameRate
 from crazyarena.safety.gate import CommandGate
 from crazyarena.safety.guard import Guard
+from crazyarena.safety.heading import HeadingWatch
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import Finding
+from crazyarena.safety.neighbours import nearest
 from crazyarena.safety.observation import Observation, Point, as_point
+from crazyarena.safety.old_poses import repeats
 from crazyarena.types import Pose, PoseFrame, Telemetry
 
 _TICK = 0.005  # s, without a frame
 _FEED_PERIOD = 0.1  # s
 _TELEMETRY_GOOD = 0.3  # s, for the vehicle's own estimate
+_GYRO_GOOD = 0.15  # s, for the rates that the vehicle tells
 _OFF_GROUND = 0.08  # m
+_LIFTED = 0.02  # m
 _DOWN_TIME = 1.0  # s, low and still, until a vehicle counts as standing
-_BASELINE_TIME = 2.0  # s, over which the least delay of the cameras is remembered
 _SWITCH_INTERVAL = 0.0005  # s, for which another Python thread may keep this one waiting
 
 Estimates = Callable[[str], BodyEstimate]
@@ -64,43 +68,19 @@ class _Watched:
     requests: deque[Finding] = field(default_factory=deque)
     last_pose: Pose | None = None
     changed: float = math.inf
+    latest: Observation | None = None
+    heading: HeadingWatch = field(default_factory=HeadingWatch)
 
     def changes(self, pose: Pose, captured: float) -> None:
         """Note a measured pose; ``changed`` is when it last was another than the one before.
 
         Cameras never measure the same numbers twice: a pose that repeats to the last bit is an
-        old one.
+        old one. In flight nothing stands still to some micrometres either, whatever is added to it.
         """
         last = self.last_pose
-        if last is None or not (
-            np.array_equal(last.position, pose.position)
-            and np.array_equal(last.quaternion, pose.quaternion)
-        ):
+        if last is None or not repeats(last, pose, self.airborne):
             self.changed = captured
             self.last_pose = pose
-
-
-class _CameraClock:
-    """Notices that the cameras' time stamps have jumped ahead.
-
-    A frame cannot arrive faster than the fastest of the last seconds did, but for the jitter.
-    A jump back looks like growing delay, and is found as stale poses.
-    """
-
-    def __init__(self) -> None:
-        self._recent: deque[tuple[float, float]] = deque()
-        self.error = 0.0
-
-    def update(self, captured: float, received: float) -> None:
-        delay = received - captured
-        recent = self._recent
-        while recent and recent[0][0] < received - _BASELINE_TIME:
-            recent.popleft()
-        self.error = max(0.0, recent[0][1] - delay, -delay) if recent else max(0.0, -delay)
-        # Delays in ascending order: what is later and smaller makes the earlier ones obsolete.
-        while recent and recent[-1][1] >= delay:
-            recent.pop()
-        recent.append((received, delay))
 
 
 class Watchdog:
@@ -163,23 +143,11 @@ class Watchdog:
         self._props = tuple(props)
         self._on_event = on_event
         self._flies = flies
-        heights = grounds or {}
-        self._watched = {
-            body: _Watched(
-                vehicle,
-                body,
-                Guard(fence, self.limits, vehicle, heights.get(vehicle, 0.03), flies),
-                heights.get(vehicle, 0.03),
-            )
-            for body, vehicle in bodies.items()
-        }
-        self._by_vehicle = {w.vehicle: w for w in self._watched.values()}
-        self._cameras = _CameraClock()
-        self._persons: dict[str, Point] = {}
-        self._strangers = 0
-        self._lateness: float | None = None
-        self._last_step: float | None = None
+        self._bodies = dict(bodies)
+        self._grounds = {v: (grounds or {}).get(v, 0.03) for v in bodies.values()}
         self._lock = threading.Lock()
+        self.renew()
+        gate.grounded = self._grounded
         self._wake = threading.Condition(threading.Lock())
         self._pending = False
         self._closed = False
@@ -188,14 +156,37 @@ class Watchdog:
         self.priority = "normal"
         self.steps = 0
 
+    def renew(self) -> None:
+        """Begin anew, with vehicles that were put down somewhere and switched on: ladders are at
+        their foot again. ``events`` are kept."""
+        with self._lock:
+            self._watched = {
+                body: _Watched(
+                    vehicle,
+                    body,
+                    Guard(self._fence, self.limits, vehicle, self._grounds[vehicle], self._flies),
+                    self._grounds[vehicle],
+                )
+                for body, vehicle in self._bodies.items()
+            }
+            self._by_vehicle = {w.vehicle: w for w in self._watched.values()}
+            self._cameras = CameraClock()
+            self._frames = FrameRate()
+            self._persons: dict[str, Point] = {}
+            self._strangers = 0
+            self._lateness: float | None = None
+            self._last_step: float | None = None
+
     # Told from outside
 
     def on_frame(self, frame: PoseFrame, result: FrameResult) -> None:
         """A pose frame has been through the estimator."""
         with self._lock:
             self._cameras.update(frame.timestamp, frame.received)
+            self._frames.note(frame.timestamp)
             persons: dict[str, Point] = {}
             strangers = 0
+            believed: list[tuple[_Watched, Pose]] = []
             for name, pose in frame.bodies.items():
                 watched = self._watched.get(name)
                 if watched is not None:
@@ -203,6 +194,7 @@ class Watchdog:
                     if name in result.accepted:
                         watched.accepted_once = True
                         watched.doubted_since = None
+                        believed.append((watched, pose))
                     elif watched.accepted_once and watched.doubted_since is None:
                         watched.doubted_since = frame.received
                 elif name.startswith(self._people):
@@ -218,6 +210,36 @@ class Watchdog:
         with self._wake:
             self._pending = True
             self._wake.notify()
+        # Last, for it takes longest, and nothing depends on it at once.
+        for watched, pose in believed:
+            self._compare_heading(watched, pose, frame.timestamp)
+
+    def _compare_heading(self, watched: _Watched, pose: Pose, captured: float) -> None:
+        """What a believed pose and the gyroscope say of each other, while the vehicle flies."""
+        own = self._gate.telemetry(watched.vehicle).state
+        # A gyroscope is never quite still: zeros are those of a vehicle that does not tell.
+        if self._gate.flying_since(watched.vehicle) is None or own is None:
+            watched.heading.reset()
+        elif (
+            own.angular_velocity.any()
+            and captured - own.timestamp <= _GYRO_GOOD
+            # On the ground a vehicle is pushed by what it stands on.
+            and pose.position[2] > watched.ground + _LIFTED
+        ):
+            x, y, z, w = pose.quaternion.tolist()
+            watched.heading.update(
+                captured, as_point(pose.position), (x, y, z, w), as_point(own.angular_velocity)
+            )
+
+    def _grounded(self) -> str | None:
+        """What keeps vehicles from taking off, in words."""
+        rate, least = self._frames.rate, self.limits.camera_rate
+        if rate is None or rate >= least:
+            return None
+        return (
+            f"the cameras deliver {rate:.0f} frames a second, at least {least:g} are needed; raise "
+            "their rate, or lower the safety limit camera_rate"
+        )
 
     def controller_answered(self, vehicle: int) -> None:
         """The contestant has answered a control step; once called, answers are expected."""
@@ -336,8 +358,10 @@ class Watchdog:
             if watched.doubted_since is not None:
                 obs.doubted = max(now - watched.doubted_since, 1e-6)
             obs.swapped = watched.swapped
+            obs.turned = watched.heading.now
             watched.swapped = False
             obs.clock_error = self._cameras.error
+            obs.camera_rate = self._frames.rate
             obs.strangers = self._strangers
             persons = tuple(self._persons.values())
         believed = estimate.freshness in (Freshness.FRESH, Freshness.BRIDGED)
@@ -362,6 +386,11 @@ class Watchdog:
             obs.dead_man_age = self.dead_man.age()
         if persons:
             self._look_for_people(obs, persons)
+        watched.latest = obs
+        others = (w.latest for w in self._watched.values() if w is not watched)
+        near = nearest(obs, (o for o in others if o is not None), self.limits)
+        if near is not None:
+            obs.neighbour, obs.neighbour_predicted = near
         return obs
 
     @staticmethod

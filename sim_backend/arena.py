@@ -46,8 +46,8 @@ from crazyarena.sim_backend.firmware import commander as setpoints
 from crazyarena.sim_backend.firmware import layout as la
 from crazyarena.sim_backend.firmware import supervisor as sv
 from crazyarena.sim_backend.firmware.kalman import MEAS_POSE, MEAS_POSITION
+from crazyarena.sim_backend.firmware.planner import PIECE_BYTES, TRAJECTORY_MEMORY_SIZE
 from crazyarena.sim_backend.firmware.power import FULL_SCALE
-from crazyarena.sim_backend.firmware.planner import TRAJECTORY_MEMORY_SIZE
 from crazyarena.sim_backend.physics import competition_step as cs
 from crazyarena.sim_backend.physics import fleet as neighbours
 from crazyarena.sim_backend.physics import geometry
@@ -68,6 +68,7 @@ from crazyarena.sim_backend.physics.scene import (
     VEHICLE_HALF_LENGTH,
     ground_code,
 )
+from crazyarena.sim_backend.power_state import PowerStates
 from crazyarena.sim_backend.trace import NO_CONTACT, TRACE_SIZE
 from crazyarena.sim_backend.vehicles import Rows, default_rows
 from crazyarena.types import Pose, Telemetry, VehicleContact, VehicleState
@@ -125,6 +126,7 @@ class ArenaFleet:
         auto_arm: bool = True,
         threads: int = 1,
         downwash: bool = False,
+        pieces: int = TRAJECTORY_MEMORY_SIZE // PIECE_BYTES,
     ) -> None:
         places = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
         n = len(places)
@@ -143,9 +145,12 @@ class ArenaFleet:
         if len(self.models) != n:
             raise ValueError(f"{len(self.models)} vehicle models for {n} vehicles")
         self.plants = np.array([model.plant for model in self.models]).reshape(n, -1)
+        self.power = PowerStates(n)
         self.memory = np.zeros((n, stack_2026.FIRMWARE_SIZE))
         self.params = np.zeros((n, len(PARAMS)))
-        self.trajectories = np.zeros((n, TRAJECTORY_MEMORY_SIZE), dtype=np.uint8)
+        self.trajectories = np.zeros(
+            (n, max(TRAJECTORY_MEMORY_SIZE, pieces * PIECE_BYTES)), dtype=np.uint8
+        )
         self._peer_tables = np.zeros(
             (n, collision_avoidance.MAX_PEERS, collision_avoidance.PEER_SIZE)
         )
@@ -257,6 +262,7 @@ class ArenaFleet:
         for begin in range(0, ticks, max(longest, 1)):
             self._advance_block(world, begin, min(begin + longest, ticks), rows)
         self.tick += ticks
+        self.power.note(self.tick, self.bodies[:, AB_VOLTS])
 
     def _advance_block(self, world: tuple[Any, ...], begin: int, end: int, traces: Array) -> None:
         n = len(self)
@@ -417,6 +423,7 @@ class ArenaFleet:
             timestamp=self.time,
             battery=float(rows.body[AB_VOLTS]),
             supervisor=int(rows.supervisor[sv.SV_INFO]),
+            power_state=self.power.state(vehicle, self.tick),
             state=VehicleState(
                 timestamp=self.time,
                 position=state[la.ST_POS : la.ST_POS + 3].copy(),

@@ -154,16 +154,21 @@ def _upload(fleet: Fleet, vehicle: int, m: c.UploadTrajectory) -> int:
     # The vehicle's format: 32 coefficients, then the duration, float32.
     data = np.frombuffer(np.roll(pieces, -1, axis=1).astype("<f4").tobytes(), np.uint8)
     start = PIECE_BYTES * int(m.piece_offset)
-    if start + len(data) > TRAJECTORY_MEMORY_SIZE:
+    capacity = fleet.trajectories.shape[1]
+    if start + len(data) > capacity:
         raise CommandError(
             f"vehicle {fleet.ids[vehicle]}: uploadTrajectory: {len(pieces)} pieces from piece "
-            f"{m.piece_offset} on; the memory holds {TRAJECTORY_MEMORY_SIZE // PIECE_BYTES}"
+            f"{m.piece_offset} on; the memory holds {capacity // PIECE_BYTES}"
         )
     fleet.trajectories[vehicle, start : start + len(data)] = data
-    planner = fleet.rows(vehicle).high_level
-    return int(
-        high_level.define_trajectory(planner, int(m.trajectory_id), _POLY4D, start, len(pieces))
-    )
+    planner, ident = fleet.rows(vehicle).high_level, int(m.trajectory_id)
+    if start + len(data) <= TRAJECTORY_MEMORY_SIZE:
+        return int(high_level.define_trajectory(planner, ident, _POLY4D, start, len(pieces)))
+    # Beyond what a vehicle has; the firmware judges only the id.
+    answer = int(high_level.define_trajectory(planner, ident, _POLY4D, 0, 1))
+    if answer == 0:
+        high_level.place_trajectory(planner, ident, _POLY4D, start, len(pieces))
+    return answer
 
 
 def _start(fleet: Fleet, vehicle: int, m: c.StartTrajectory) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.collision_avoidance import note_peer
 from crazyarena.sim_backend.firmware.kalman import MEAS_NONE, MEAS_POSE
 from crazyarena.sim_backend.firmware.layout import (
@@ -33,7 +34,6 @@ from crazyarena.sim_backend.firmware.stack_2026 import (
     measure,
 )
 from crazyarena.sim_backend.firmware.supervisor import SV_TUMBLED
-from crazyarena.sim_backend.jit import kernel
 from crazyarena.sim_backend.physics.arena_plant import (
     AB_ACCELERATION,
     AB_CONTACT,

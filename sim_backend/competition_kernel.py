@@ -12,6 +12,7 @@ import math
 import numba
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware import high_level, mellinger, power, tumble, wrapper_sensors
 from crazyarena.sim_backend.firmware.layout import (
     CONTROL_SIZE,
@@ -30,7 +31,6 @@ from crazyarena.sim_backend.firmware.layout import (
     ST_ACC,
     STATE_SIZE,
 )
-from crazyarena.sim_backend.jit import kernel
 from crazyarena.sim_backend.physics import competition_step as plant_step
 from crazyarena.sim_backend.physics import contact
 from crazyarena.sim_backend.physics.competition_step import (

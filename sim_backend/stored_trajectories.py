@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.crazyswarm_compat.checks import UnknownTrajectory
+from crazyarena.crazyswarm_compat.checks import UnknownTrajectory, beyond_memory
 
 
 class StoredTrajectories:
@@ -22,6 +22,12 @@ class StoredTrajectories:
 
     def note(self, m: c.UploadTrajectory) -> None:
         """Note an upload; warns of another trajectory that it overwrites."""
+        too_much = beyond_memory(m)
+        if too_much is not None:
+            warnings.warn(
+                f"{self._name}: uploadTrajectory: a real vehicle refuses it: {too_much}",
+                stacklevel=6,
+            )
         places = range(int(m.piece_offset), int(m.piece_offset) + len(m.pieces))
         for other, taken in self._places.items():
             if other != m.trajectory_id and taken.start < places.stop and places.start < taken.stop:

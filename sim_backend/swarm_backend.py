@@ -15,9 +15,14 @@ import numpy as np
 
 from crazyarena.clock import Clock, VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.crazyswarm_compat.checks import check, verb
+from crazyarena.crazyswarm_compat.checks import MEMORY_PIECES, SIMULATED_PIECES, check, verb
 from crazyarena.crazyswarm_compat.config import FleetConfig
 from crazyarena.crazyswarm_compat.options import warn
+from crazyarena.crazyswarm_compat.pitfalls import (
+    MELLINGER,
+    NOT_NOTIFIED,
+    VELOCITY_WITH_MELLINGER,
+)
 from crazyarena.crazyswarm_compat.registry import SimOptions
 from crazyarena.errors import BackendError, CommandError
 from crazyarena.sim_backend.arena import ArenaFleet
@@ -47,6 +52,8 @@ _POSE_TICKS = 10  # ms between motion-capture frames
 _SETTLE_TICKS = 2000  # ms before a script begins
 # What a locked vehicle still does.
 _GROUND_COMMANDS = (c.Emergency, c.SetParam, c.SetLed, c.SetGroupMask, c.UploadTrajectory)
+# What the high-level commander is to fly, once it is in charge.
+_PLANNED = (c.Takeoff, c.Land, c.GoTo, c.StartTrajectory)
 # Answers of a vehicle that a script should hear of. Taking off in flight is not among them.
 _REFUSALS = {
     8: "the firmware cannot execute it (trajectory ids go from 0 to 30)",
@@ -80,8 +87,10 @@ class ArenaBackend:
             threads=min(os.cpu_count() or 1, len(fleet.vehicles) // _VEHICLES_PER_THREAD),
             downwash=options.downwash,
             vehicles=_models(fleet, options),
+            pieces=SIMULATED_PIECES,
         )
         self._stored = [StoredTrajectories(config.name) for config in fleet.vehicles]
+        self._streams: list[type | None] = [None] * len(fleet.vehicles)
         self._told = 0
         for index, config in enumerate(fleet.vehicles):
             for name, value in config.firmware_params.items():
@@ -99,8 +108,11 @@ class ArenaBackend:
 
     @property
     def contacts(self) -> Sequence[VehicleContact]:
-        """Contacts between vehicles so far, in the clock's time."""
-        return [replace(told, time=told.time + self._start) for told in self._fleet.contacts]
+        """Contacts between vehicles so far, in the clock's time; 0 for those before the script
+        began."""
+        return [
+            replace(told, time=max(0.0, told.time + self._start)) for told in self._fleet.contacts
+        ]
 
     def send(self, command: c.Command, vehicle: int | None = None) -> None:
         for index in range(len(self._fleet)) if vehicle is None else (self._at(vehicle),):
@@ -117,6 +129,7 @@ class ArenaBackend:
             return
         if isinstance(command, c.StartTrajectory) and self._fleet.is_addressed(command, index):
             self._stored[index].require(command.trajectory_id)
+        self._doubt(command, index, name)
         answer = self._fleet.send(command, index)
         if answer and isinstance(command, c.Arm):
             warn(f"{name}: arm: refused in the vehicle's present state", stacklevel=5)
@@ -124,6 +137,26 @@ class ArenaBackend:
             warn(f"{name}: {verb(command)}: refused; {_REFUSALS[answer]}", stacklevel=5)
         elif isinstance(command, c.UploadTrajectory):
             self._stored[index].note(command)
+
+    def _doubt(self, command: c.Command, index: int, name: str) -> None:
+        """Warn of what the firmware silently takes otherwise than it reads."""
+        kind = type(command)
+        if isinstance(command, c.STREAMED):
+            if (
+                isinstance(command, (c.VelocityWorld, c.Hover))
+                and self._streams[index] is not kind
+                and self._fleet.get_param(index, "stabilizer.controller") == MELLINGER
+            ):
+                warn(f"{name}: {verb(command)}: {VELOCITY_WITH_MELLINGER}", stacklevel=6)
+            self._streams[index] = kind
+        elif isinstance(command, (c.NotifySetpointsStop, c.CutMotors, c.Emergency)):
+            self._streams[index] = None
+        elif (
+            isinstance(command, _PLANNED)
+            and self._streams[index] is not None
+            and self._fleet.is_addressed(command, index)
+        ):
+            warn(f"{name}: {verb(command)}: {NOT_NOTIFIED}", stacklevel=6)
 
     def _lock(self, index: int) -> str | None:
         if self._fleet.rows(index).supervisor[SV_STOP]:
@@ -188,10 +221,17 @@ class ArenaBackend:
             fleet.advance(min(until_frame, end - fleet.tick))
         for told in fleet.contacts[self._told :]:
             warn(
-                f"{self._names[told.first]} and {self._names[told.second]} touched at "
-                f"{told.time + self._start:.2f} s ({told.speed:.1f} m/s)"
+                f"{self._names[told.first]} and {self._names[told.second]} touched "
+                + _when(told.time + self._start)
+                + f" ({told.speed:.1f} m/s)"
             )
         self._told = len(fleet.contacts)
+
+
+def _when(time: float) -> str:
+    if time < 0.0:
+        return "before the script began: they stand too close in the vehicle list"
+    return f"at {time:.2f} s"
 
 
 class PyBulletFleet(ArenaFleet):
@@ -205,10 +245,11 @@ class PyBulletFleet(ArenaFleet):
         threads: int = 1,
         downwash: bool = False,
         vehicles: Sequence[Rows] | None = None,
+        pieces: int = MEMORY_PIECES,
     ) -> None:
         from crazyarena.sim_backend.physics.pybullet_engine import PyBulletEngine
 
-        super().__init__(positions, ids=ids, threads=threads, vehicles=vehicles)
+        super().__init__(positions, ids=ids, threads=threads, vehicles=vehicles, pieces=pieces)
         self._engine = PyBulletEngine(self.plants[:, :FULL_PLANT_SIZE], dt=DT, wakes=downwash)
         self._engine.reset(self.bodies[:, B_POS : B_POS + 3])
 

@@ -19,6 +19,7 @@ settings.load_profile("crazyarena")
 _REALTIME = (
     "crazyswarm_compat/radio/test_flight.py",
     "crazyswarm_compat/radio/test_link.py",
+    "crazyswarm_compat/radio/test_over_radio.py",
     "crazyswarm_compat/radio/test_preflight.py",
     "mocap/test_arena.py",
     "mocap/test_links.py",

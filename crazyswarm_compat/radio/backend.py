@@ -15,23 +15,27 @@ from numpy.typing import ArrayLike
 
 from crazyarena.clock import Clock, VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.crazyswarm_compat.checks import check
+from crazyarena.crazyswarm_compat.checks import beyond_memory, check
 from crazyarena.crazyswarm_compat.config import FleetConfig
 from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.radio import packets as pk
+from crazyarena.crazyswarm_compat.radio.air_sharing import AirSharing
 from crazyarena.crazyswarm_compat.radio.budget import Budget
 from crazyarena.crazyswarm_compat.radio.client import init_drivers
+from crazyarena.crazyswarm_compat.radio.connecting import wrong_uri
 from crazyarena.crazyswarm_compat.radio.events import EventLog, LinkEvent
 from crazyarena.crazyswarm_compat.radio.link import VehicleLink
 from crazyarena.crazyswarm_compat.radio.options import RadioOptions
 from crazyarena.crazyswarm_compat.radio.preflight import Preparation, prepare_vehicle
 from crazyarena.crazyswarm_compat.radio.quality import LinkStatistics
-from crazyarena.crazyswarm_compat.radio.telemetry import SupervisorState
+from crazyarena.crazyswarm_compat.radio.script_report import ScriptReport
+from crazyarena.crazyswarm_compat.radio.telemetry import SupervisorState, is_stopped
 from crazyarena.errors import BackendError, CommandError, InputError
 from crazyarena.types import Pose, Telemetry, Vector
 
 _LOG = logging.getLogger(__name__)
 _MONITOR_PERIOD = 0.05  # s
+_END = 3.0  # s, for threads that have been told to end
 
 
 class RadioBackend:
@@ -67,7 +71,7 @@ class RadioBackend:
         self._watchdog: dict[int, float] = {}  # vehicles that are fed, and when by ourselves
         self._watchdog_period = math.inf
         self._closed = False
-        self._connecting: set[int] = set()
+        self._reconnecting: dict[int, threading.Thread] = {}
         self._retry_at: dict[int, float] = {}
         budgets: dict[str, Budget] = {}
         self._links = {
@@ -81,6 +85,7 @@ class RadioBackend:
             for config in fleet.vehicles
             for radio in (_radio_of(str(config.uri)),)
         }
+        self._air = AirSharing(fleet, self.options, self._links)
         try:
             self._connect_all()
         except BaseException:
@@ -90,7 +95,7 @@ class RadioBackend:
         self._monitor.start()
 
     def _budget(self, radio: str) -> Budget:
-        if not radio.startswith("radio://"):
+        if not radio.startswith("radio://") or self.options.driver == "scheduled":
             return Budget()
         rate = self.options.packets_per_second
         return Budget(rate, max(1.0, 0.04 * rate))
@@ -147,12 +152,13 @@ class RadioBackend:
         ``options.outbox.extpose_rate`` per vehicle; unknown ids are only told to vehicles that
         avoid collisions. A pose whose quaternion is not finite goes as a position."""
         now = self.clock.now()
+        served = self._air.broadcast(poses, now)
         for ident, link in self._links.items():
             pose = poses.get(ident)
             outgoing: tuple[pk.Packet, ...] = ()
             if pose is not None:
                 link.last_pose = (now, pose)
-                outgoing = self._own_pose(ident, pose)
+                outgoing = () if ident in served else self._own_pose(ident, pose)
             if link.hears_peers:
                 outgoing += pk.packed_positions(
                     [(peer, other.position) for peer, other in poses.items() if peer != ident]
@@ -184,6 +190,16 @@ class RadioBackend:
                 return replace(latest, link_quality=1.0 - loss)
         return latest
 
+    def stopped_since(self, time: float) -> int:
+        """How many vehicles have confirmed an emergency stop sent at ``time`` s: their motors
+        are locked, or, of firmware that does not say so, they were heard after it."""
+        count = 0
+        for link in self._links.values():
+            latest = link.telemetry.latest
+            if latest.timestamp > time:
+                count += latest.supervisor is None or is_stopped(latest.supervisor)
+        return count
+
     def get_param(self, vehicle: int, name: str) -> float:
         """Value of ``group.name``, after writes under way are acknowledged (blocks for those).
 
@@ -192,15 +208,15 @@ class RadioBackend:
         BackendError
             if the firmware has no such parameter, or does not answer.
         """
-        return self._link(vehicle).get_param(name)
+        return self._link(vehicle).parameters.get(name)
 
     def param_names(self, vehicle: int) -> Sequence[str]:
         """Names of all parameters of a vehicle, as ``group.name``."""
-        client = self._link(vehicle).client
-        if client is None:
-            return ()
-        toc = client.param.toc.toc
-        return tuple(f"{group}.{name}" for group, names in toc.items() for name in names)
+        return self._link(vehicle).parameters.names()
+
+    def param_is_whole(self, vehicle: int, name: str) -> bool:
+        """Whether a parameter holds whole numbers; BackendError if there is none."""
+        return self._link(vehicle).parameters.whole(name)
 
     def close(self) -> None:
         """Release the links; idempotent. Nothing is sent: a vehicle that flies a high-level
@@ -221,6 +237,10 @@ class RadioBackend:
         for closer in closers:
             if closer.ident is not None:
                 closer.join()
+        monitor = getattr(self, "_monitor", None)
+        for thread in (monitor, *self._reconnecting.values()):
+            if thread is not None:
+                thread.join(timeout=_END)
         self._events.close()
 
     # Beyond the common interface
@@ -252,7 +272,11 @@ class RadioBackend:
         """
         link = self._link(vehicle)
         rows = np.asarray(pieces, dtype=np.float64)
-        check(c.UploadTrajectory(trajectory_id, piece_offset, rows), link.name)
+        command = c.UploadTrajectory(trajectory_id, piece_offset, rows)
+        check(command, link.name)
+        too_much = beyond_memory(command)
+        if too_much is not None:
+            raise CommandError(f"{link.name}: uploadTrajectory: {too_much}")
         link.upload(int(trajectory_id), int(piece_offset), rows)
 
     def prepare(
@@ -334,6 +358,10 @@ class RadioBackend:
         """Events since the last call, oldest first."""
         return self._events.take()
 
+    def script_report(self, guarded: bool = False) -> ScriptReport:
+        """What is to be told to a script that flies these vehicles."""
+        return ScriptReport(self._links, self._events, self.clock, self.options.gone_after, guarded)
+
     # Supervision
 
     def _link(self, vehicle: int) -> VehicleLink:
@@ -355,6 +383,7 @@ class RadioBackend:
                 link.note_supervisor()
                 self._maybe_reconnect(link, now)
             self._feed_by_ourselves(now)
+            self._air.look(now, self._events)
 
     def _feed_by_ourselves(self, now: float) -> None:
         with self._watchdog_lock:
@@ -364,16 +393,17 @@ class RadioBackend:
                     self._links[ident].feed_watchdog()
 
     def _maybe_reconnect(self, link: VehicleLink, now: float) -> None:
-        if not self.options.reconnect or link.connected or link.id in self._connecting:
+        if not self.options.reconnect or link.connected or link.id in self._reconnecting:
             return
         if not link.driver_gone and now - link.last_heard < 3.0 * self.options.link_timeout:
             return  # it may come back by itself
         if now < self._retry_at.get(link.id, -math.inf):
             return
-        self._connecting.add(link.id)
-        threading.Thread(
+        thread = threading.Thread(
             target=self._reconnect, args=(link,), name=f"reconnect-{link.name}", daemon=True
-        ).start()
+        )
+        self._reconnecting[link.id] = thread
+        thread.start()
 
     def _reconnect(self, link: VehicleLink) -> None:
         try:
@@ -385,7 +415,7 @@ class RadioBackend:
             _LOG.exception("%s: reconnecting failed", link.name)
         finally:
             self._retry_at[link.id] = self.clock.now() + self.options.reconnect_interval
-            self._connecting.discard(link.id)
+            self._reconnecting.pop(link.id, None)
 
 
 def _radio_of(uri: str) -> str:
@@ -405,6 +435,9 @@ def _check_uris(fleet: FleetConfig) -> None:
                 f"{fleet.source}: {config.name}: found no link; expected a channel, or a uri such "
                 "as radio://0/80/2M/E7E7E7E701 or udp://127.0.0.1:19850"
             )
+        wrong = wrong_uri(config.uri)
+        if wrong is not None:
+            raise InputError(f"{fleet.source}: {config.name}: uri: found {config.uri!r}; {wrong}")
         if config.uri in seen:
             raise InputError(
                 f"{fleet.source}: {config.name}: {config.uri} is already used by "
@@ -416,7 +449,8 @@ def _check_uris(fleet: FleetConfig) -> None:
 def open_radio(fleet: FleetConfig, clock: Clock, options: Any = None) -> RadioBackend:
     """Backend ``radio`` of :func:`~crazyarena.crazyswarm_compat.registry.open_backend`:
     connects, then writes the firmware parameters of the fleet's configuration."""
-    chosen = options if isinstance(options, RadioOptions) else None
+    # A script does not listen to events: what can be mended by itself is.
+    chosen = options if isinstance(options, RadioOptions) else RadioOptions(reconnect=True)
     backend = RadioBackend(fleet, clock, chosen)
     try:
         for config in fleet.vehicles:

@@ -52,6 +52,15 @@ class CommandLost(LinkEvent):
 
 
 @dataclass(frozen=True, slots=True)
+class CommandDoubtful(LinkEvent):
+    """A command went out that the vehicle will ignore or take otherwise than it reads;
+    ``reason`` says why."""
+
+    verb: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class StreamEnded(LinkEvent):
     """Streamed setpoints fell silent and the vehicle was handed to its high-level commander;
     ``action`` is hold, land or idle."""
@@ -64,6 +73,20 @@ class TrajectoryUploaded(LinkEvent):
     """An upload was acknowledged, all of it."""
 
     trajectory_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class AirShort(LinkEvent):
+    """The dongle of this vehicle carries less than is asked of it, or all of it again.
+
+    what: ``logs``, whose rates are divided by ``divisor`` from now on (1: as asked for), or
+    ``poses``, of which the share ``fallen`` is not sent, the newest being what is (0: all are).
+    Setpoints, commands and stops do not fall.
+    """
+
+    what: str
+    divisor: int = 1
+    fallen: float = 0.0
 
 
 class EventLog:

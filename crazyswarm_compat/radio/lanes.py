@@ -75,6 +75,33 @@ class LaneCounters:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class OutboxOptions:
+    """Limits of :class:`.outbox.Outbox`; times in s, rates in Hz.
+
+    setpoint_rate, extpose_rate, rest_rate: at most so many per second; command_expiry,
+    setpoint_expiry, extpose_expiry: what waited longer is dropped; ack_timeout, ack_tries: a
+    high-level command is repeated until it is answered; emergency_repeats and _interval: an
+    emergency stop is sent so often at once, and then ten times a second until the vehicle says
+    that it is locked, for at most emergency_patience; stream_timeout: silence that ends a
+    stream, ``inf`` to leave that to the firmware; capacity of each queue.
+    """
+
+    setpoint_rate: float = 200.0
+    extpose_rate: float = 100.0
+    rest_rate: float = 100.0
+    command_expiry: float = 1.0
+    setpoint_expiry: float = 0.3
+    extpose_expiry: float = 0.2
+    ack_timeout: float = 0.08
+    ack_tries: int = 12
+    emergency_repeats: int = 15
+    emergency_interval: float = 0.01
+    emergency_patience: float = 5.0
+    stream_timeout: float = 0.4
+    capacity: int = 256
+
+
 @dataclass(slots=True)
 class Job:
     """Something to do now: packets to send, or an action that sends by itself."""

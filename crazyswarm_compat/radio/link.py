@@ -7,17 +7,25 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from cflib.crtp.crtpstack import CRTPPacket, CRTPPort
 
 from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.crazyswarm_compat.checks import verb
+from crazyarena.crazyswarm_compat.checks import beyond_memory, verb
 from crazyarena.crazyswarm_compat.config import VehicleConfig
+from crazyarena.crazyswarm_compat.pitfalls import (
+    IGNORED,
+    MELLINGER,
+    NOT_NOTIFIED,
+    VELOCITY_WITH_MELLINGER,
+)
 from crazyarena.crazyswarm_compat.radio import packets as pk
+from crazyarena.crazyswarm_compat.radio.avoidance import AVOIDANCE_SWITCH, avoidance_params
 from crazyarena.crazyswarm_compat.radio.budget import Budget
 from crazyarena.crazyswarm_compat.radio.client import Client
+from crazyarena.crazyswarm_compat.radio.connecting import open_connection
 from crazyarena.crazyswarm_compat.radio.events import (
+    CommandDoubtful,
     CommandLost,
     CommandRefused,
     EventLog,
@@ -26,21 +34,20 @@ from crazyarena.crazyswarm_compat.radio.events import (
     StreamEnded,
     TrajectoryUploaded,
 )
+from crazyarena.crazyswarm_compat.radio.hand_over import until_told
 from crazyarena.crazyswarm_compat.radio.lanes import HighLevelItem
 from crazyarena.crazyswarm_compat.radio.options import RadioOptions
 from crazyarena.crazyswarm_compat.radio.outbox import Outbox
 from crazyarena.crazyswarm_compat.radio.parameters import Parameters
-from crazyarena.crazyswarm_compat.radio.quality import LinkStatistics, Pings
+from crazyarena.crazyswarm_compat.radio.quality import LinkStatistics, Pings, RoundTrip
+from crazyarena.crazyswarm_compat.radio.radio_driver import ScheduledRadioDriver
 from crazyarena.crazyswarm_compat.radio.sender import Sender
 from crazyarena.crazyswarm_compat.radio.telemetry import FLYING, LOCKED, TelemetryReader
 from crazyarena.crazyswarm_compat.radio.trajectory_memory import TrajectoryMemory
-from crazyarena.errors import BackendError
+from crazyarena.errors import BackendError, CommandError
 
+_CONTROLLER = "stabilizer.controller"
 _MASK_PARAM = "hlCommander.groupmask"
-_RETRY_IDENTITY = 0.5
-# Taking over a vehicle whose stream fell silent: below this height it lands.
-_LOW = 0.15
-_BRAKING = 2.0  # m/s2
 
 
 class VehicleLink:
@@ -70,16 +77,17 @@ class VehicleLink:
         self._options = options
         self._budget = budget
         self._events = events
-        self.outbox = Outbox(options.outbox, budget, self._take_over)
+        self._round_trip = RoundTrip()
+        self.outbox = Outbox(options.outbox, budget, self._take_over, self._round_trip.patience)
         self._packets_sent = 0
         self.telemetry = TelemetryReader(
             clock,
             options.state_rate,
             options.health_rate,
-            lambda: self._packets_sent,
+            self._packets_out,
             options.plant_rate,
         )
-        self.pings = Pings()
+        self.pings = Pings(self._round_trip)
         self.client: Client | None = None
         self.connected = False
         self.protocol = -1
@@ -90,9 +98,15 @@ class VehicleLink:
         self._fully_connected = threading.Event()
         self._failure: str | None = None
         self._seen_locked = False
-        self._parameters = Parameters(
+        self._silent_since: float | None = None
+        self._uploaded: set[int] = set()
+        self._doubted: type | None = None
+        self._life = threading.Lock()
+        self._closing = False
+        self.parameters = Parameters(
             self.name,
             options.param_timeout,
+            self._round_trip.patience,
             lambda: self.client,
             lambda verb, action: self._later(verb, action=action),
             self._lost_command,
@@ -129,8 +143,15 @@ class VehicleLink:
         assert self.config.uri is not None
         self._fully_connected.clear()
         self._failure = None
-        cache = self._options.cache
-        client = Client(cache)
+        options = self._options
+        client = Client(
+            options.cache,
+            self._clock,
+            self._round_trip,
+            options.parameters,
+            options.in_flight,
+            options.driver == "scheduled",
+        )
         client.fully_connected.add_callback(lambda _: self._fully_connected.set())
         client.connection_failed.add_callback(lambda _, why: self._fail(client, why))
         client.connection_lost.add_callback(lambda _, why: self._fail(client, why))
@@ -142,48 +163,39 @@ class VehicleLink:
         client.link_statistics.link_quality_updated.add_callback(
             lambda percent: self.telemetry.quality(0.01 * float(percent))
         )
-        self._parameters.attach(client)
-        deadline = self._clock.now() + timeout
-        self.client = client
+        self.parameters.attach(client)
+        with self._life:
+            if self._closing:
+                raise BackendError(f"{self.name}: closed")
+            self.client = client
         try:
-            client.open_link(self.config.uri)
-            while not self._fully_connected.wait(_RETRY_IDENTITY):
-                if self._failure is not None or self._clock.now() > deadline:
-                    raise BackendError(self._no_connection(client, timeout))
-                if client.platform.get_protocol_version() < 0 and client.link is not None:
-                    client.ask_identity()
+            open_connection(
+                client,
+                self.config.uri,
+                self.name,
+                timeout,
+                self._clock,
+                self._fully_connected,
+                failure=lambda: self._failure,
+                abandoned=lambda: self._closing,
+            )
         except BaseException:
             self.client = None
             client.drop_link()
             raise
         self.protocol = int(client.platform.get_protocol_version())
-        self.group_mask = int(self.cached_param(_MASK_PARAM) or 0)
+        self.group_mask = int(self.parameters.cached(_MASK_PARAM) or 0)
         self.pings.forget()
         self.outbox.reset()
         self.telemetry.start(client)
-        outage = self._clock.now() - self.last_heard if math.isfinite(self.last_heard) else 0.0
         self.last_heard = self._clock.now()
-        self.connected = True
-        self._events.emit(LinkUp(self._clock.now(), self.id, max(0.0, outage)))
-
-    def _no_connection(self, client: Client, timeout: float) -> str:
-        where = f"{self.name} ({self.config.uri})"
-        if self._failure is not None:
-            # A driver's message may end in a traceback, whose last line says what it was.
-            lines = self._failure.strip().splitlines() or ["unknown reason"]
-            return (
-                f"{where}: cannot connect: {lines[-1].strip()}; is the vehicle switched on, and "
-                "the radio plugged in?"
-            )
-        if client.platform.get_protocol_version() < 0:
-            return (
-                f"{where}: no answer within {timeout:g} s; is the vehicle switched on, and are "
-                "radio, channel, data rate and address right?"
-            )
-        return (
-            f"{where}: answers, but its parameters did not arrive within {timeout:g} s; the link "
-            "is bad, move closer or change the channel"
-        )
+        with self._life:
+            abandoned = self._closing
+            if not abandoned:
+                self._up(self.last_heard)
+        if abandoned:
+            self.drop()
+            raise BackendError(f"{self.name}: closed")
 
     def _fail(self, client: Client, why: str) -> None:
         if client is not self.client:
@@ -191,10 +203,16 @@ class VehicleLink:
         self._failure = why
         self.lost(why.strip().splitlines()[0] if why.strip() else "link error")
 
+    def _up(self, now: float) -> None:
+        since, self._silent_since = self._silent_since, None
+        self.connected = True
+        self._events.emit(LinkUp(now, self.id, 0.0 if since is None else now - since))
+
     def lost(self, reason: str) -> None:
         """Note that the link is gone; emits an event the first time."""
         if self.connected:
             self.connected = False
+            self._silent_since = self.last_heard
             self._events.emit(LinkLost(self._clock.now(), self.id, reason))
 
     def check_silence(self, now: float) -> None:
@@ -208,8 +226,7 @@ class VehicleLink:
         if self.connected and age > self._options.link_timeout:
             self.lost(f"nothing heard for {age:.2f} s")
         elif not self.connected and self._fully_connected.is_set() and age < 0.1:
-            self.connected = True
-            self._events.emit(LinkUp(now, self.id))
+            self._up(now)
 
     @property
     def driver_gone(self) -> bool:
@@ -225,7 +242,9 @@ class VehicleLink:
             client.drop_link()
 
     def close(self) -> None:
-        """Stop the sender and close the connection."""
+        """Stop the sender and close the connection, also one that is just being made."""
+        with self._life:
+            self._closing = True
         self._sender.close()
         self.drop()
 
@@ -236,6 +255,14 @@ class VehicleLink:
         # Whoever sent it, cflib included.
         self._packets_sent += 1
         self._budget.spend(self._clock.now())
+
+    def _packets_out(self) -> int:
+        """Packets that have gone to the vehicle, without those that newer ones replaced."""
+        client = self.client
+        driver = None if client is None else client.link
+        if isinstance(driver, ScheduledRadioDriver):
+            return self._packets_sent - driver.replaced()
+        return self._packets_sent
 
     def _echo(self, packet: Any) -> None:
         self.pings.received(bytes(packet.data), self._clock.now())
@@ -272,6 +299,7 @@ class VehicleLink:
         protocol = self.protocol
         setpoint = pk.setpoint(command, protocol, self.name)
         if setpoint is not None:
+            self._doubt_setpoint(command)
             self.outbox.setpoint(setpoint, type(command), now)
         elif isinstance(command, c.Emergency):
             self.emergency()
@@ -319,8 +347,26 @@ class VehicleLink:
         if isinstance(command, c.SetGroupMask):
             self.group_mask = int(command.group_mask)
         upload = command.trajectory_id if isinstance(command, c.StartTrajectory) else None
+        if takes_over and self.outbox.streaming and not isinstance(command, c.Stop):
+            self._doubt(name, NOT_NOTIFIED)
+        if upload is not None and upload not in self._uploaded:
+            self._doubt(name, f"trajectory {upload} was not uploaded by this program; {IGNORED}")
         item = HighLevelItem(packet, name, takes_over, self._done(name), upload)
         self.outbox.command(item, self._clock.now())
+
+    def _doubt(self, name: str, reason: str) -> None:
+        self._events.emit(CommandDoubtful(self._clock.now(), self.id, name, reason))
+
+    def _doubt_setpoint(self, command: c.Command) -> None:
+        """Say so when a stream begins that the vehicle's controller does not follow."""
+        kind = type(command)
+        begins, self._doubted = kind is not self._doubted, kind
+        if (
+            begins
+            and isinstance(command, (c.VelocityWorld, c.Hover))
+            and self.parameters.cached(_CONTROLLER) == MELLINGER
+        ):
+            self._doubt(verb(command), VELOCITY_WITH_MELLINGER)
 
     def _done(self, name: str) -> Callable[[int | None, str], None]:
         def done(code: int | None, reason: str) -> None:
@@ -357,16 +403,7 @@ class VehicleLink:
         if kind is c.CutMotors or (flags is not None and not flags & FLYING):
             self._events.emit(StreamEnded(now, self.id, "idle"))
             return None
-        state = telemetry.state
-        command: c.Command
-        if state is not None and state.position[2] < _LOW:
-            action, command = "land", c.Land(0.0, 1.0)
-        else:
-            velocity = np.zeros(3) if state is None else state.velocity
-            speed = float(np.linalg.norm(velocity))
-            duration = min(3.0, max(0.5, 2.0 * speed / _BRAKING))
-            # Half of the way at the present speed is the way of constant braking.
-            action, command = "hold", c.GoTo(0.5 * duration * velocity, 0.0, duration, True)
+        action, command = until_told(telemetry.state)
         packet = pk.high_level(command, self.protocol, self.name)
         assert packet is not None
         self._events.emit(StreamEnded(now, self.id, action))
@@ -375,18 +412,12 @@ class VehicleLink:
     # Parameters
 
     def _write_later(self, name: str, value: float) -> float:
-        stored = self._parameters.write_later(name, value)
+        stored = self.parameters.write_later(name, value)
         if name == _MASK_PARAM:
             self.group_mask = int(stored)
+        elif name == AVOIDANCE_SWITCH:
+            self.hears_peers = bool(stored)
         return stored
-
-    def cached_param(self, name: str) -> float | None:
-        """Last value that the vehicle told, None if it has no such parameter."""
-        return self._parameters.cached(name)
-
-    def get_param(self, name: str) -> float:
-        """See :meth:`.parameters.Parameters.get`."""
-        return self._parameters.get(name)
 
     def set_param(self, name: str, value: float) -> None:
         """Write a parameter and compare what the vehicle answers (blocks).
@@ -399,37 +430,35 @@ class VehicleLink:
             if the value does not fit.
         """
         stored = self._write_later(name, value)
-        self._parameters.wait_written(name)
-        self._parameters.compare(name, stored)
+        self.parameters.wait_written(name)
+        self.parameters.compare(name, stored)
 
     def _collision_avoidance(self, m: c.CollisionAvoidance) -> None:
-        if self.cached_param("colAv.enable") is None:
+        if not self.parameters.has(AVOIDANCE_SWITCH):
             if m.enable:
                 raise BackendError(
                     f"{self.name}: its firmware was built without collision avoidance (colAv.*)"
                 )
             return
-        if m.enable:
-            for axis, name in enumerate("XYZ"):
-                self._write_later(f"colAv.ellipsoid{name}", float(m.radii[axis]))
-                self._write_later(f"colAv.bboxMin{name}", float(m.bbox_min[axis]))
-                self._write_later(f"colAv.bboxMax{name}", float(m.bbox_max[axis]))
-            self._write_later("colAv.horizon", m.horizon)
-            self._write_later("colAv.maxSpeed", m.max_speed)
-        self._write_later("colAv.enable", int(m.enable))
-        self.hears_peers = m.enable
+        for name, value in avoidance_params(m):
+            self._write_later(name, value)
 
     # Trajectories
 
     def _upload_in_background(self, command: c.UploadTrajectory) -> None:
+        too_much = beyond_memory(command)
+        if too_much is not None:
+            raise CommandError(f"{self.name}: uploadTrajectory: {too_much}")
         pk.trajectory_bytes(command.pieces)
         ident = int(command.trajectory_id)
         self.outbox.upload_begins(ident)
+        self._uploaded.add(ident)
 
         def work() -> None:
             try:
                 self.upload(ident, int(command.piece_offset), command.pieces)
             except BackendError as error:
+                self._uploaded.discard(ident)
                 self._lost_command("uploadTrajectory", str(error))
             finally:
                 self.outbox.upload_ends(ident, self._clock.now())
@@ -437,14 +466,9 @@ class VehicleLink:
         threading.Thread(target=work, name=f"upload-{self.name}", daemon=True).start()
 
     def upload(self, ident: int, piece_offset: int, pieces: Any) -> None:
-        """Write pieces (n, 33) to trajectory memory and declare them a trajectory (blocks).
-
-        Raises
-        ------
-        BackendError
-            if the vehicle has no such memory, refuses, or does not answer in time.
-        """
+        """See :meth:`.trajectory_memory.TrajectoryMemory.upload`."""
         self._memory.upload(ident, piece_offset, pieces)
+        self._uploaded.add(ident)
         self._events.emit(TrajectoryUploaded(self._clock.now(), self.id, ident))
 
     # What is known

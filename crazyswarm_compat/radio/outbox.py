@@ -28,35 +28,9 @@ from crazyarena.crazyswarm_compat.radio.lanes import (
     Job,
     Lane,
     LaneCounters,
+    OutboxOptions,
 )
 from crazyarena.crazyswarm_compat.radio.packets import Packet, notify_setpoints_stop
-
-
-@dataclass(frozen=True, slots=True)
-class OutboxOptions:
-    """Limits of :class:`Outbox`; times in s, rates in Hz.
-
-    setpoint_rate, extpose_rate, rest_rate: at most so many per second; command_expiry,
-    setpoint_expiry, extpose_expiry: what waited longer is dropped; ack_timeout, ack_tries: a
-    high-level command is repeated until it is answered; emergency_repeats and _interval: an
-    emergency stop is sent so often at once, and then ten times a second until the vehicle says
-    that it is locked, for at most emergency_patience; stream_timeout: silence that ends a
-    stream, ``inf`` to leave that to the firmware; capacity of each queue.
-    """
-
-    setpoint_rate: float = 200.0
-    extpose_rate: float = 100.0
-    rest_rate: float = 100.0
-    command_expiry: float = 1.0
-    setpoint_expiry: float = 0.3
-    extpose_expiry: float = 0.2
-    ack_timeout: float = 0.08
-    ack_tries: int = 12
-    emergency_repeats: int = 15
-    emergency_interval: float = 0.01
-    emergency_patience: float = 5.0
-    stream_timeout: float = 0.4
-    capacity: int = 256
 
 
 @dataclass(slots=True)
@@ -90,6 +64,8 @@ class Outbox:
         and the kind of its last setpoint; returns the command that takes the vehicle over, or
         None to let the idle high-level commander stop the motors. It is called with the lock
         held, as are the ``done`` of commands: they must not call back.
+    patience: makes of ``ack_timeout`` the time to wait for an answer on this link, s; a relative
+        command that is repeated only because its answer is late would be flown twice.
     """
 
     def __init__(
@@ -97,12 +73,14 @@ class Outbox:
         options: OutboxOptions,
         budget: Budget,
         release: Callable[[bool, object], HighLevelItem | None],
+        patience: Callable[[float], float] = float,
     ) -> None:
         self.wake = threading.Condition(threading.RLock())
         self.counters = {lane: LaneCounters() for lane in Lane}
         self._options = options
         self._budget = budget
         self._release = release
+        self._patience = patience
         self._order = 0
         self._emergency = EmergencyLane(
             options.emergency_repeats, options.emergency_interval, options.emergency_patience
@@ -126,6 +104,7 @@ class Outbox:
             # Whoever was connected before may have streamed.
             self._low_level = True
             self._streaming = False
+            self._undeclared = False
             self._release_at = math.inf
             self._remain_ms = 0
             self._notify_left = 0
@@ -152,6 +131,11 @@ class Outbox:
         """The vehicle says that it is locked: stop repeating, once the first burst is over."""
         with self.wake:
             self._emergency.confirmed()
+
+    @property
+    def streaming(self) -> bool:
+        """Whether setpoints are in charge, and nobody has said that they are over."""
+        return self._undeclared
 
     @property
     def locked(self) -> bool:
@@ -182,6 +166,7 @@ class Outbox:
                 counters.dropped += 1
                 return
             counters.overwritten += self._setpoint is not None
+            self._undeclared = True
             first = packets[:-1] if kind != self._kind else ()
             self._kind = kind
             self._setpoint = _Setpoint(packets[-1:], first, now, self._next_order())
@@ -199,6 +184,7 @@ class Outbox:
                 return
             item.born, item.order = now, self._next_order()
             if item.takes_over:
+                self._undeclared = False
                 item.remain_ms, self._remain_ms = self._remain_ms, 0
                 self._release_at = math.inf
                 self._drop_waiting_starts()
@@ -209,6 +195,7 @@ class Outbox:
         """The script says that its stream is over. A command is expected to follow; without
         one the vehicle is released when ``remain_ms`` have passed (at least 0.1 s)."""
         with self.wake:
+            self._undeclared = False
             if not self._low_level and self._setpoint is None:
                 return  # the high-level commander is in charge already
             self._remain_ms = remain_ms
@@ -323,7 +310,7 @@ class Outbox:
                 return None
             if awaiting.tries < self._options.ack_tries:
                 awaiting.tries += 1
-                awaiting.due = now + self._options.ack_timeout
+                awaiting.due = now + self._patience(self._options.ack_timeout)
                 return Job(Lane.COMMAND, awaiting.item.born, (awaiting.item.packet,), repeated=True)
             self._awaiting = None
             counters.dropped += 1
@@ -355,7 +342,9 @@ class Outbox:
             self._streaming = False
             self._release_at = math.inf
         hand_over = item.takes_over and self._low_level
-        self._awaiting = _Awaiting(item, now + self._options.ack_timeout, 1, hand_over)
+        self._awaiting = _Awaiting(
+            item, now + self._patience(self._options.ack_timeout), 1, hand_over
+        )
         return Job(Lane.COMMAND, item.born, (item.packet,))
 
     def _poll_setpoint(self, now: float) -> Job | None:

@@ -11,6 +11,8 @@ from typing import Any
 from crazyarena.crazyswarm_compat.radio.client import Client
 from crazyarena.errors import BackendError, CommandError
 
+_FLOATS = ("<f", "<d", "<e")
+
 
 class Parameters:
     """Reads and writes parameters over whatever connection there is.
@@ -18,7 +20,7 @@ class Parameters:
     Parameters
     ----------
     who: name of the vehicle, for messages.
-    timeout: for the vehicle's answer, s.
+    timeout: for the vehicle's answer, s; longer where ``patience`` says that one takes longer.
     client: the present connection, None for none.
     later: ``later(verb, action)`` lets the sender thread run ``action`` when its turn comes.
     lost: ``lost(verb, reason)`` tells of a write that could not be sent.
@@ -28,12 +30,13 @@ class Parameters:
         self,
         who: str,
         timeout: float,
+        patience: Callable[[float], float],
         client: Callable[[], Client | None],
         later: Callable[[str, Callable[[], None]], None],
         lost: Callable[[str, str], None],
     ) -> None:
         self._who = who
-        self._timeout = timeout
+        self._patience = lambda: max(timeout, 4.0 * patience(0.0))
         self._client = client
         self._later = later
         self._lost = lost
@@ -41,7 +44,9 @@ class Parameters:
         self._writes: dict[str, int] = {}
 
     def attach(self, client: Client) -> None:
-        """Hear the answers on a new connection."""
+        """Hear the answers on a new connection; those of the old one come no more."""
+        with self._answered:
+            self._writes.clear()
         client.param.add_update_callback(cb=self._answer)
 
     def _element(self, name: str) -> Any:
@@ -71,9 +76,11 @@ class Parameters:
         if element.access == element.RO_ACCESS:
             raise CommandError(f"{self._who}: parameter {name} is read-only")
         number = float(value)
+        if not math.isfinite(number):
+            raise CommandError(f"{self._who}: {name} is {value!r}; it must be a finite number")
         kind = element.pytype
         try:
-            if kind not in ("<f", "<d", "<e"):
+            if kind not in _FLOATS:
                 number = int(number)
             stored = struct.unpack(kind, struct.pack(kind, number))[0]
         except (struct.error, OverflowError):
@@ -126,13 +133,39 @@ class Parameters:
         self._element(name)
         self.wait_written(name)
         value = self.cached(name)
+        return self._read(name) if value is None else value
+
+    def _read(self, name: str) -> float:
+        client = self._client()
+        if client is None or client.link is None:
+            raise BackendError(f"{self._who}: not connected, so {name} cannot be read")
+        # cflib takes it in its turn, so that its answer is not taken for that of a write.
+        with self._answered:
+            self._writes[name] = self._writes.get(name, 0) + 1
+        client.param.request_param_update(name)
+        with self._answered:
+            self._answered.wait_for(lambda: name not in self._writes, self._patience())
+        value = self.cached(name)
         if value is None:
-            raise BackendError(f"{self._who}: the value of {name} has not arrived yet")
+            raise BackendError(f"{self._who}: {name} did not arrive within {self._patience():g} s")
         return value
+
+    def names(self) -> tuple[str, ...]:
+        """All parameters of the vehicle, as ``group.name``; none while not connected."""
+        client = self._client()
+        return () if client is None else client.param_names()
+
+    def has(self, name: str) -> bool:
+        """Whether the vehicle has this parameter, as far as is known."""
+        return name in self.names()
+
+    def whole(self, name: str) -> bool:
+        """Whether a parameter holds whole numbers; BackendError if there is none."""
+        return self._element(name).pytype not in _FLOATS
 
     def wait_written(self, name: str) -> None:
         """Block until the writes of a parameter are answered; BackendError if one is not."""
-        timeout = self._timeout
+        timeout = self._patience()
         with self._answered:
             if not self._answered.wait_for(lambda: name not in self._writes, timeout):
                 raise BackendError(

@@ -153,7 +153,7 @@ class _Preflight:
         values: dict[str, float] = {"stabilizer.estimator": wanted.estimator}
         if wanted.controller is not None:
             values["stabilizer.controller"] = wanted.controller
-        if link.cached_param("commander.enHighLevel") is not None:
+        if link.parameters.has("commander.enHighLevel"):
             values["commander.enHighLevel"] = 1
         for name, value in {**values, **wanted.params}.items():
             link.set_param(name, value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from crazyarena.crazyswarm_compat.radio.lanes import Lane, LaneStatistics
 
 _PINGS = 50  # echoes in the window of the statistics
 _PING_LOST = 0.5  # s
+_LONGEST_WAIT = 3.0  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +55,44 @@ class LinkStatistics:
         return max(0.0, 1.0 - self.uplink_arrived / self.uplink_sent)
 
 
+class RoundTrip:
+    """How long to wait for an answer, from the answers so far (Jacobson, SIGCOMM 1988)."""
+
+    def __init__(self) -> None:
+        self._mean: float | None = None
+        self._spread = 0.0
+        self._backoff = 1.0
+        self._backed_off = -math.inf
+
+    def observe(self, seconds: float) -> None:
+        """An answer to a request that was sent once took ``seconds``."""
+        mean = self._mean
+        self._backoff = 1.0
+        if mean is None:
+            self._mean, self._spread = seconds, 0.5 * seconds
+            return
+        self._spread += 0.25 * (abs(seconds - mean) - self._spread)
+        self._mean = mean + 0.125 * (seconds - mean)
+
+    def timed_out(self, now: float) -> None:
+        """An answer did not come in time: wait longer until one does."""
+        if now - self._backed_off >= self._expected() * self._backoff:
+            self._backed_off = now
+            self._backoff = min(16.0, 2.0 * self._backoff)
+
+    def patience(self, least: float) -> float:
+        """Time-out for the next answer, s; at least ``least``."""
+        return min(_LONGEST_WAIT, self._backoff * max(least, self._expected()))
+
+    def _expected(self) -> float:
+        return 0.0 if self._mean is None else self._mean + 4.0 * self._spread
+
+
 class Pings:
     """Echoes under way and their results."""
 
-    def __init__(self) -> None:
+    def __init__(self, round_trip: RoundTrip) -> None:
+        self._round_trip = round_trip
         self._lock = threading.Lock()
         self._number = 0
         self._under_way: dict[int, float] = {}
@@ -68,7 +104,7 @@ class Pings:
         """Next echo request; those without an answer by now count as lost."""
         with self._lock:
             for number, sent in list(self._under_way.items()):
-                if now - sent > _PING_LOST:
+                if now - sent > self._round_trip.patience(_PING_LOST):
                     del self._under_way[number]
                     self._count(None)
             self._number += 1
@@ -81,6 +117,7 @@ class Pings:
         with self._lock:
             sent = None if number is None else self._under_way.pop(number, None)
             if sent is not None:
+                self._round_trip.observe(now - sent)
                 self._count(now - sent)
 
     def forget(self) -> None:

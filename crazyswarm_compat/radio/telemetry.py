@@ -30,7 +30,7 @@ _MOTION = ("x", "y", "z", "vx", "vy", "vz", "quat")
 _RATES = ("rateRoll", "ratePitch", "rateYaw")
 # The last is the vehicle's own count of the packets it got.
 _COUNT = "radio.numRxUc"
-_HEALTH = ("pm.vbat", "supervisor.info", "radio.rssi", _COUNT)
+_HEALTH = ("pm.vbat", "pm.state", "supervisor.info", "radio.rssi", _COUNT)
 # What a model of the vehicle is identified from; 22 bytes with the voltage in mV.
 _MOTORS = ("motor.m1", "motor.m2", "motor.m3", "motor.m4")
 _ACCELEROMETER = ("acc.x", "acc.y", "acc.z")
@@ -39,6 +39,14 @@ _FULL_SCALE = 65535.0
 # What firmware before the supervisor told instead.
 _OLD_FLAGS = (("sys.canfly", CAN_FLY), ("sys.isFlying", FLYING), ("sys.isTumbled", TUMBLED))
 _TICKS = 1 << 24
+_LONGEST_PERIOD = 2540  # ms
+
+
+def is_stopped(flags: int) -> bool:
+    """Whether ``supervisor.info`` says that the motors are locked; or that it does not fly, of
+    old firmware, which has no word for locked."""
+    old = not flags & ~(CAN_FLY | FLYING | TUMBLED)
+    return bool(flags & LOCKED) or (old and not flags & FLYING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +93,7 @@ class Block:
         self._config = LogConfig(name, period_ms)
         for variable in variables:
             self._config.add_variable(variable)
-        self._period = period_ms
+        self._asked = self._period = period_ms
         self._received = received
         self._last: int | None = None
         self.packets = 0
@@ -93,6 +101,17 @@ class Block:
         client.log.add_config(self._config)
         self._config.data_received_cb.add_callback(self._data)
         self._config.error_cb.add_callback(self._error)
+        self._config.start()
+
+    def slow_down(self, divisor: int) -> None:
+        """Go on with ``divisor`` times the period that it began with."""
+        period_ms = min(_LONGEST_PERIOD, self._asked * divisor)
+        if period_ms == self._period:
+            return
+        self._config.stop()
+        self._period, self._last = period_ms, None
+        self._config.period = period_ms // 10
+        self._config.period_in_ms = period_ms
         self._config.start()
 
     def stop(self) -> None:
@@ -151,6 +170,7 @@ class TelemetryReader:
         self._plant_rate = plant_rate
         self._lock = threading.Lock()
         self._blocks: list[Block] = []
+        self._divisor = 1
         self._last = Telemetry(timestamp=-math.inf)
         self._omega: Vector = np.zeros(3)
 
@@ -163,19 +183,20 @@ class TelemetryReader:
         """Create the blocks on a new connection; variables that the firmware lacks are left
         out."""
         state_rate, health_rate = self._rates
-        self._blocks = []
+        self._blocks, self._divisor = [], 1
         self._count, self._uplink = None, (0, 0)
         motion = [f"stateEstimateZ.{name}" for name in _MOTION]
         if state_rate and all(knows(client, name) for name in motion):
             self._blocks.append(
                 Block(client, "motion", motion, _period_ms(state_rate), self._motion)
             )
+        # As often as the estimate: they show whether the cameras' heading is the vehicle's.
+        rates = [f"stateEstimateZ.{name}" for name in _RATES]
+        if state_rate and all(knows(client, name) for name in rates):
+            self._blocks.append(Block(client, "rates", rates, _period_ms(state_rate), self._turn))
         health = [name for name in _HEALTH if knows(client, name)]
         if "supervisor.info" not in health:
             health += [name for name, _ in _OLD_FLAGS if knows(client, name)]
-        health += [
-            f"stateEstimateZ.{name}" for name in _RATES if knows(client, f"stateEstimateZ.{name}")
-        ]
         if health_rate and health:
             self._blocks.append(
                 Block(client, "health", health, _period_ms(health_rate), self._health)
@@ -186,6 +207,14 @@ class TelemetryReader:
             self._blocks.append(
                 Block(client, "plant", plant, _period_ms(self._plant_rate), self._plant)
             )
+
+    def slow_down(self, divisor: int) -> None:
+        """Divide the rates that were asked for; 1 gives them back. Sends, but does not wait."""
+        if divisor == self._divisor:
+            return
+        self._divisor = divisor
+        for block in self._blocks:
+            block.slow_down(divisor)
 
     def quality(self, link_quality: float) -> None:
         """Note the quality of the link, 0..1."""
@@ -240,6 +269,8 @@ class TelemetryReader:
         changes: dict[str, Any] = {"timestamp": self._clock.now()}
         if "pm.vbat" in values:
             changes["battery"] = float(values["pm.vbat"])
+        if "pm.state" in values:
+            changes["power_state"] = int(values["pm.state"])
         if "radio.rssi" in values:
             changes["rssi"] = -float(values["radio.rssi"])
         if _COUNT in values:
@@ -248,12 +279,13 @@ class TelemetryReader:
             changes["supervisor"] = int(values["supervisor.info"])
         elif "sys.canfly" in values:
             changes["supervisor"] = sum(mask for name, mask in _OLD_FLAGS if values.get(name))
-        if "stateEstimateZ.rateRoll" in values:
-            roll, pitch, yaw = (1e-3 * values[f"stateEstimateZ.{name}"] for name in _RATES)
-            # The firmware logs the pitch rate in its legacy sign.
-            self._omega = np.array([roll, -pitch, yaw])
         self._update(**changes)
+
+    def _turn(self, values: Mapping[str, float]) -> None:
+        roll, pitch, yaw = (1e-3 * values[f"stateEstimateZ.{name}"] for name in _RATES)
+        # The firmware logs the pitch rate in its legacy sign.
+        self._omega = np.array([roll, -pitch, yaw])
 
 
 def _period_ms(rate: float) -> int:
-    return min(2540, max(10, 10 * round(100.0 / rate)))
+    return min(_LONGEST_PERIOD, max(10, 10 * round(100.0 / rate)))

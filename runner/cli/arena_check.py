@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from crazyarena.runner.cli.common import bad_input_exits
+from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
 
 
 def register(app: typer.Typer) -> None:
@@ -25,13 +25,15 @@ def arena_check(
 ) -> None:
     """Check a level's fence and keep-out zones, and draw them.
 
-    Exit code 2 when they contradict each other or the level.
+    Exit code 2 when they contradict each other or the level, 1 when something stands in a gate's
+    opening or a gate has no room.
     """
     with bad_input_exits():
         from crazyarena.errors import InputError
         from crazyarena.levels import load_level
         from crazyarena.runner.records.arena_figure import save_arena
         from crazyarena.safety.fence import Fence
+        from crazyarena.safety.placement import obstructions
 
         chosen = load_level(level, set_ or ())
         fence = Fence.from_level(chosen)
@@ -44,12 +46,13 @@ def arena_check(
                 f"{name}: {fence.clearance(x, y, z):.2f} m inside the fence, "
                 f"{fence.zone_distance(x, y, z):.2f} m from the nearest zone"
             )
-        for index, gate in enumerate(chosen.track.gates):
-            room = fence.room(*gate.centre)
-            if room < 0.0:
-                typer.echo(f"gate {index}: its centre has no room ({room:.2f} m)")
+        problems = obstructions(chosen)
+        for problem in problems:
+            typer.echo(problem)
         try:
             save_arena(out, chosen, fence, height)
         except OSError as error:
             raise InputError(f"--out {out}: cannot write: {error.strerror}") from None
         typer.echo(f"Drawn to {out}")
+    if problems:
+        raise typer.Exit(EXIT_NOT_CLEAN)

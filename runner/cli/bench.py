@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,11 +17,11 @@ from crazyarena.runner.cli.common import (
     ArenaLevel,
     Out,
     Overrides,
-    Seed,
     bad_input_exits,
 )
 from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
+from crazyarena.runner.cli.options.mocap import OPTION_HELP
 from crazyarena.runner.cli.options.stops import Waive, flight_stops
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 
@@ -27,6 +29,22 @@ if TYPE_CHECKING:
     from crazyarena.runner.rig.stops import StopOptions
     from crazyarena.runner.trial.options import FlightOptions
     from crazyarena.sim_backend.vehicles import VehicleChoice
+
+
+class CameraChoice(StrEnum):
+    """What the cameras speak."""
+
+    ZENOH = "zenoh"
+    QUALISYS = "qualisys"
+    NATNET = "natnet"
+    VRPN = "vrpn"
+
+
+class LinkChoice(StrEnum):
+    """What carries the radio protocol."""
+
+    UDP = "udp"
+    RADIO = "radio"
 
 
 def register(app: typer.Typer) -> None:
@@ -38,12 +56,27 @@ def bench(
     submission: AnySubmission = None,
     level: ArenaLevel = "sim2real",
     runs: Annotated[int, typer.Option(min=1, max=100, help="How many, on the same draw.")] = 1,
-    seed: Seed = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Of the draw. Default: 128 bits that nobody can guess."),
+    ] = None,
     out: Out = None,
     set_: Overrides = None,
     dry: Annotated[
         bool, typer.Option("--dry/--no-dry", help="Fly the dry runs too, and compare.")
     ] = True,
+    link: Annotated[
+        LinkChoice, typer.Option(help="UDP, or a virtual Crazyradio under cflib's radio driver.")
+    ] = LinkChoice.UDP,
+    mocap_rate: Annotated[
+        float | None, typer.Option(min=10.0, max=500.0, metavar="HZ", help="Camera frames.")
+    ] = None,
+    mocap: Annotated[
+        CameraChoice, typer.Option(help="What the emulated cameras speak.")
+    ] = CameraChoice.ZENOH,
+    mocap_option: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=VALUE", help=OPTION_HELP)
+    ] = None,
     *,
     vehicle: VehicleChoice,
     vehicle_spread: VehicleSpread = None,
@@ -55,7 +88,7 @@ def bench(
     waive: Waive = None,
     stops: Callable[[str], StopOptions],
 ) -> None:
-    """Fly a virtual Crazyflie over UDP with cameras over zenoh, in real time.
+    """Fly a virtual Crazyflie over UDP or radio with emulated cameras, in real time.
 
     Radio protocol, client, camera network, watchdog and contestant's process are those of a
     flight; --compute is for the dry runs that it is compared with.
@@ -68,6 +101,7 @@ def bench(
         from crazyarena.levels import load_level
         from crazyarena.runner.bench import Bench
         from crazyarena.runner.records import compare as comparing
+        from crazyarena.runner.rig.cameras import numeric, parse_options
 
         console = Console()
         loaded = load_level(level, set_ or [])
@@ -80,13 +114,17 @@ def bench(
             folder.resolve(),
             overrides=set_ or [],
             runs=runs,
-            seed=loaded.seed if seed is None else seed,
+            seed=replace(options, secret=seed is None).seed(seed, loaded),
             dry=dry,
             options=options,
             real_time=real_time,
             figure=figure,
             console=console,
             waive=waive or (),
+            radio=link is LinkChoice.RADIO,
+            cameras=None if mocap_rate is None else {"rate": mocap_rate},
+            mocap=mocap.value,
+            mocap_options=numeric(parse_options(mocap_option or ())),
             stops=stops("bench"),
             vehicle=vehicle,
             spread=vehicle_spread,

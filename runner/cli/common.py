@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from crazyarena.errors import CrazyarenaError
+from crazyarena.plain_text import shown
 
 EXIT_NOT_CLEAN = 1
 EXIT_BAD_INPUT = 2
@@ -21,7 +22,7 @@ def bad_input_exits() -> Iterator[None]:
     try:
         yield
     except CrazyarenaError as error:
-        typer.secho(f"error: {error}", err=True, fg=typer.colors.RED)
+        typer.secho(f"error: {shown(str(error))}", err=True, fg=typer.colors.RED)
         raise typer.Exit(EXIT_BAD_INPUT) from None
 
 
@@ -30,6 +31,14 @@ AnySubmission = Annotated[
 ]
 ArenaLevel = Annotated[str, typer.Option(help="Arena level, or a level file.")]
 Seed = Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")]
+Secret = Annotated[
+    bool,
+    typer.Option(
+        "--secret",
+        help="Draw the level from 128 bits nobody can guess, told in result.json alone; implies "
+        "--sandbox.",
+    ),
+]
 Out = Annotated[Path | None, typer.Option(help="Results folder.")]
 Overrides = Annotated[
     list[str] | None,

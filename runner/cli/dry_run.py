@@ -10,6 +10,7 @@ import typer
 
 from crazyarena.runner.cli.common import (
     EXIT_NOT_CLEAN,
+    Secret,
     bad_input_exits,
 )
 from crazyarena.runner.cli.options.flight import Sandbox, flight_options
@@ -30,15 +31,22 @@ def dry_run(
     submission: Annotated[
         Path | None,
         typer.Argument(
-            help="Folder with edit_this.py, or a .py file with class Controller. "
-            "Default: the example racer.",
+            help="Folder with edit_this.py, a .py file with class Controller, or one with a "
+            "controller of lsy_drone_racing. Default: the example racer.",
         ),
     ] = None,
-    level: Annotated[str, typer.Option(help="Shipped level, or a level file.")] = "level0",
+    level: Annotated[
+        str | None,
+        typer.Option(
+            help="Shipped level, or a level file. Default: level0, lsy/level0 for a controller "
+            "of lsy_drone_racing."
+        ),
+    ] = None,
     episodes: Annotated[
         int | None, typer.Option(min=1, help="How many. Default: the level's own number.")
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")] = None,
+    secret: Secret = False,
     out: Annotated[
         Path | None, typer.Option(help="Results folder. Default: a new one under runs/.")
     ] = None,
@@ -68,30 +76,99 @@ def dry_run(
     2 when the level or the submission is at fault before anything has flown.
     """
     with bad_input_exits():
+        options = replace(options, sandbox=sandbox, secret=secret)
         if margins:
             from crazyarena.runner.cli.margins import show
 
-            completed = show(
-                submission, level, set_ or [], seed, out, replace(options, sandbox=sandbox), vehicle
-            )
-            if completed:
+            if show(submission, level, set_ or [], seed, out, options, vehicle):
                 return
             raise typer.Exit(EXIT_NOT_CLEAN)
+        if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options):
+            return
         from crazyarena.runner.dry_run import DryRun
 
         run = DryRun(
             submission=submission,
-            level=level,
+            level=level or "level0",
             overrides=set_ or [],
             episodes=episodes,
             seed=seed,
             out=out,
             record=record,
             figure=figure,
-            options=replace(options, sandbox=sandbox),
+            options=options,
             vehicle=vehicle,
             spread=vehicle_spread,
         )
         result = run.run()
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)
+
+
+def _flew_lsy(
+    submission: Path | None,
+    level: str | None,
+    episodes: int | None,
+    seed: int | None,
+    out: Path | None,
+    overrides: list[str],
+    record: bool,
+    options: FlightOptions,
+) -> bool:
+    """Fly a controller of lsy_drone_racing, told by its file; False if this is none."""
+    looks_like = submission is not None or (level or "").endswith(".toml")
+    if not looks_like and not (level or "").startswith("lsy/"):
+        return False
+    from crazyarena.errors import InputError
+    from crazyarena.levels.lsy import is_lsy_level
+
+    foreign = level is not None and is_lsy_level(level)
+    if not foreign:
+        from crazyarena.runner.contestant.contract_lsy.submission import find_controller
+
+        assert submission is not None
+        file = find_controller(submission.expanduser())
+        if file is None:
+            return False
+        if level is not None:
+            raise InputError(
+                f"{file}: a controller of lsy_drone_racing; level {level} is none of its levels. "
+                "Pass --level lsy/level0 ... lsy/level3, or a TOML file"
+            )
+    if submission is None:
+        raise InputError(
+            f"level {level}: pass the file of a lsy_drone_racing controller, such as "
+            "examples/racer_state/racer_state.py"
+        )
+    if options.secret:
+        raise InputError(
+            "--secret: levels of lsy_drone_racing draw from 31 bits; use --sandbox "
+            "--set env.seed=-1"
+        )
+    from rich.console import Console
+
+    from crazyarena.runner.dry_run import results_folder
+    from crazyarena.runner.lsy_run import LsyRun, tell
+    from crazyarena.runner.records.report import NOT_ISOLATED
+
+    console = Console()
+    run = LsyRun(
+        submission,
+        level or "lsy/level0",
+        overrides,
+        episodes=episodes or 1,
+        seed=seed,
+        record=record,
+        sandbox=bool(options.sandbox) or options.require_sandbox,
+        require_sandbox=options.require_sandbox,
+        console=console,
+    )
+    run.out = results_folder(out, submission, run.level.name)
+    result = run.run()
+    tell(result, console)
+    if not run.isolated:
+        console.print(NOT_ISOLATED, markup=False, highlight=False, soft_wrap=True)
+    console.print(f"Seed {result.seed}. Results in {run.out}", highlight=False, soft_wrap=True)
+    if not result.clean:
+        raise typer.Exit(EXIT_NOT_CLEAN)
+    return True

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
 
 
@@ -32,18 +33,21 @@ def estop(
 ) -> None:
     """Cut the motors of every vehicle of every running session, at once and for good.
 
-    Sessions of this user on this machine are always stopped; those elsewhere with --connect or
-    --network. Exit code: 0 when a session answered, 1 when none did.
+    Sessions of this user on this machine are always stopped, all at once (the super-user stops
+    those of everybody); those elsewhere with --connect or --network. Exit code: 0 when a vehicle's
+    link confirmed (with --test: when a session answered), 1 when none did.
     """
-    from crazyarena.safety.estop_sources import stop_local, stop_over_zenoh
+    from crazyarena.safety.estop_local import STOPPED, TESTED, stop_local
 
-    found = False
+    found = answered = False
     with bad_input_exits():
         # The nearest first; nothing that could fail comes before it.
-        for name, answer in stop_local(reason, test):
+        for name, answer in stop_local(reason, test, warn=_warn):
             typer.echo(f"{name}: {answer}")
-            found = found or answer in ("stopped", "tested")
+            answered = True
+            found = found or answer.startswith(TESTED if test else STOPPED)
         if (connect or network) and not test:
+            from crazyarena.safety.estop_sources import stop_over_zenoh
             from crazyarena.safety.estop_token import read_secret
 
             secret = None if token is None else read_secret(token)
@@ -51,5 +55,13 @@ def estop(
                 typer.echo(f"zenoh session {session[:8]}: stop sent")
                 found = True
     if not found:
-        typer.echo("Nothing answered: no session is running here that could be stopped.")
+        typer.echo(
+            "NOT CONFIRMED: no vehicle's link has said that it is stopped."
+            if answered
+            else "Nothing answered: no session is running here that could be stopped."
+        )
         raise typer.Exit(EXIT_NOT_CLEAN)
+
+
+def _warn(text: str) -> None:
+    typer.secho(f"warning: {shown_line(text)}", err=True, fg=typer.colors.YELLOW)

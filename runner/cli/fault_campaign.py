@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Annotated
 
@@ -28,6 +29,9 @@ def fault_campaign(
             "station in a process of its own. 13 s a flight; not every fault.",
         ),
     ] = False,
+    radio: Annotated[
+        bool, typer.Option("--radio", help="As --udp, over a virtual Crazyradio.")
+    ] = False,
     margin: Annotated[
         float,
         typer.Option(
@@ -44,14 +48,14 @@ def fault_campaign(
         Path | None,
         typer.Option(
             help="Folder for campaign.json and campaign.png. Default: runs/fault-campaign, with "
-            "--udp runs/fault-campaign-udp.",
+            "--udp runs/fault-campaign-udp, with --radio runs/fault-campaign-radio.",
             show_default=False,
         ),
     ] = None,
 ) -> None:
     """Fly every kind of fault and show what the safety made of it.
 
-    In simulation, as fast as it goes, or with --udp over the virtual radio.
+    In simulation, as fast as it goes, or in real time with --udp or --radio.
 
     Exit code: 0 when every flight ended landed or with motors cut, inside the hard fence plus
     0.10 m (--margin where no software can help), 1 when not.
@@ -70,11 +74,17 @@ def fault_campaign(
         console = Console()
         if not console.is_terminal:
             console = Console(width=120)
-        names = fault or list(real.UDP_FAULTS if udp else FAULTS)
-        run = real.run_campaign if udp else virtual.run_campaign
-        title = report.UDP if udp else report.SIMULATED
-        workers = workers or (2 if udp else 1)
-        out = out or Path("runs", "fault-campaign-udp" if udp else "fault-campaign")
+        in_real_time = udp or radio
+        names = fault or list(real.UDP_FAULTS if in_real_time else FAULTS)
+        run = (
+            functools.partial(real.run_campaign, radio=radio)
+            if in_real_time
+            else virtual.run_campaign
+        )
+        title = report.UDP if in_real_time else report.SIMULATED
+        workers = workers or (2 if in_real_time else 1)
+        name = "fault-campaign-radio" if radio else "fault-campaign-udp"
+        out = out or Path("runs", name if in_real_time else "fault-campaign")
         try:
             out.mkdir(parents=True, exist_ok=True)
         except OSError as error:

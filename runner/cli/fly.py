@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +15,7 @@ from crazyarena.runner.cli.common import (
     ArenaLevel,
     Out,
     Overrides,
+    Secret,
     Seed,
     bad_input_exits,
 )
@@ -84,8 +86,11 @@ def fly(
         str | None,
         typer.Option(metavar="ENDPOINT", help="Zenoh endpoint to publish the trial on."),
     ] = None,
-    episodes: Annotated[int | None, typer.Option(min=1)] = None,
+    episodes: Annotated[
+        int | None, typer.Option(min=1, help="How many. Default: the level's own number.")
+    ] = None,
     seed: Seed = None,
+    secret: Secret = False,
     out: Out = None,
     set_: Overrides = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before arming.")] = False,
@@ -135,8 +140,7 @@ def fly(
 
         def open_rig(loaded: Level, limits: Limits) -> Rig:
             if not real:
-                flight_seed = loaded.seed if seed is None else seed
-                return simulated(loaded, flight_seed, limits=limits, supply=run.supply)
+                return simulated(loaded, run.seed, limits=limits, supply=run.supply)
             from crazyarena.runner.rig.flight_process.client import connected
 
             assert uri is not None
@@ -164,7 +168,7 @@ def fly(
             out,
             record,
             figure,
-            options=options,
+            options=replace(options, secret=secret),
             open_rig=open_rig,
             yes=yes or not real,
             surveyed=survey,

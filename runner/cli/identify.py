@@ -22,9 +22,7 @@ def identify(
             metavar="RUN...", help="Logs of flights (.mcap, .npz, .csv), or folders of them."
         ),
     ],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="File to write the vehicle to (.yaml).")
-    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write the vehicle to (.yaml).")],
     mass: Annotated[
         float | None, typer.Option(metavar="GRAMS", help="Mass of the vehicle as it flew.")
     ] = None,
@@ -60,15 +58,14 @@ def identify(
         from crazyarena.errors import InputError
         from crazyarena.runner.records import identify_report as report
         from crazyarena.runner.records.identify import identify as identified
-        from crazyarena.sim_backend import jit
+        from crazyarena.runner.warm_up import compile_missing
         from crazyarena.sim_backend.vehicles import dump_vehicle, load_vehicle
 
         console = Console()
         if out.suffix not in (".yaml", ".yml"):
             raise InputError(f"--out {out}: expected a .yaml file")
         model = load_vehicle(start)
-        if jit.is_cold():
-            console.print("Compiling the simulator; only the first run waits for this.")
+        compile_missing(("arena", "estimator"), console)
         with console.status("") as status:
             result = identified(
                 flights,

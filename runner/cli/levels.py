@@ -24,7 +24,17 @@ def levels(
     """List the shipped levels, or print one with every field, ready to be edited."""
     with bad_input_exits():
         from crazyarena.levels import dump_level, load_level, shipped_levels
+        from crazyarena.levels.lsy import (
+            is_lsy_level,
+            load_lsy_level,
+            lsy_text,
+            shipped_lsy_levels,
+        )
 
+        if name is not None and is_lsy_level(name):
+            load_lsy_level(name, set_ or ())  # says what is wrong with it
+            typer.echo(lsy_text(name), nl=False)
+            return
         if name is not None:
             typer.echo(dump_level(load_level(name, set_ or ())), nl=False)
             return
@@ -42,3 +52,10 @@ def levels(
                 f"{shipped:<16} {len(level.track.gates)} gates, {level.num_episodes} episodes, "
                 f"random: {what}"
             )
+        for shipped in shipped_lsy_levels():
+            foreign = load_lsy_level(shipped)
+            drawn = [key for key, value in foreign.env.randomizations if value is not None]
+            layout = ["layout"] if foreign.env.track.randomize else []
+            what = ", ".join([*layout, *drawn]) or "nothing"
+            gates = len(foreign.env.track.gates)
+            typer.echo(f"{shipped:<16} {gates} gates, random: {what}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -10,7 +11,6 @@ from crazyarena.runner.cli.common import bad_input_exits
 from crazyarena.runner.cli.options.mocap import (
     HOST_HELP,
     OPTION_HELP,
-    nominal_track,
 )
 
 
@@ -20,7 +20,11 @@ def register(app: typer.Typer) -> None:
 
 def mocap_server(
     protocol: Annotated[
-        str, typer.Option(help="What to serve: qualisys (QTM real-time protocol) or zenoh.")
+        str,
+        typer.Option(
+            help="What to serve: qualisys (QTM real-time protocol), natnet (OptiTrack), vrpn or "
+            "zenoh."
+        ),
     ] = "qualisys",
     source: Annotated[
         str,
@@ -38,12 +42,42 @@ def mocap_server(
         120.0
     ),
     port: Annotated[
-        int, typer.Option(min=1, max=65533, help="QTM base port; clients use this plus 1.")
-    ] = 22222,
-    address: Annotated[str, typer.Option(help="Address to listen on (qualisys).")] = "127.0.0.1",
+        int | None,
+        typer.Option(
+            min=1,
+            max=65533,
+            help="QTM base port, of which clients use the next (22222), NatNet command port "
+            "(1510), or port of VRPN (3883).",
+        ),
+    ] = None,
+    address: Annotated[str, typer.Option(help="Address to listen on (not zenoh).")] = "127.0.0.1",
+    stream: Annotated[
+        str, typer.Option(help="Bit stream of natnet: 3.1, 4.0, 4.1 or 4.2.")
+    ] = "4.1",
+    multicast: Annotated[
+        bool, typer.Option("--multicast", help="Send to a multicast group (natnet).")
+    ] = False,
+    data_port: Annotated[
+        int, typer.Option(min=1, max=65535, help="Where natnet frames go.")
+    ] = 1511,
+    y_up: Annotated[
+        bool, typer.Option("--y-up", help="Axes as Motive has them by default (natnet).")
+    ] = False,
     listen: Annotated[
-        str, typer.Option(help="Endpoint to listen on (zenoh).")
-    ] = "tcp/127.0.0.1:7447",
+        str | None,
+        typer.Option(
+            help="Endpoint to listen on (zenoh), e.g. tcp/10.0.0.5:7447; without one, only this "
+            "machine can hear."
+        ),
+    ] = None,
+    token: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Sign every frame with this file's secret (zenoh)."),
+    ] = None,
+    zenoh_config: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Zenoh configuration: TLS, users, endpoints (zenoh)."),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the simulated cameras.")] = 0,
     seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after this long.")] = None,
 ) -> None:
@@ -55,10 +89,12 @@ def mocap_server(
         from crazyarena.clock import WallClock
         from crazyarena.errors import InputError
         from crazyarena.mocap.camera_model import CameraModel
+        from crazyarena.mocap.natnet_server import NatNetServer
         from crazyarena.mocap.serve import Outlet, circling, relay
         from crazyarena.mocap.sim_source import SimSource
         from crazyarena.mocap.source import PoseSource
         from crazyarena.mocap.vendor_server import QualisysServer
+        from crazyarena.mocap.vrpn_server import VrpnServer
         from crazyarena.mocap.zenoh_link import ZenohPublisher
         from crazyarena.runner.rig.cameras import open_named_source
 
@@ -69,6 +105,7 @@ def mocap_server(
             track = {}
             if level is not None:
                 from crazyarena.levels import load_level
+                from crazyarena.safety.placement import nominal_track
 
                 track = dict(nominal_track(load_level(level)))
             flight = circling(names)
@@ -81,13 +118,27 @@ def mocap_server(
         with closing(opened):
             outlet: Outlet
             if protocol == "qualisys":
-                outlet = QualisysServer(names, port, address)
-                where = f"QTM real-time protocol on {address}, base port {port}"
+                outlet = QualisysServer(names, port or 22222, address)
+                where = f"QTM real-time protocol on {address}, base port {outlet.port}"
+            elif protocol == "natnet":
+                outlet = NatNetServer(
+                    names, port or 1510, address, stream, multicast, data_port=data_port, y_up=y_up
+                )
+                how = "multicast" if multicast else "unicast"
+                axes = "y up" if y_up else "z up"
+                where = f"NatNet {stream} on {address}:{outlet.port}, {how}, {axes}"
+            elif protocol == "vrpn":
+                outlet = VrpnServer(names, port or 3883, address)
+                where = f"VRPN on {address}:{outlet.port}"
             elif protocol == "zenoh":
-                outlet = ZenohPublisher(clock, listen=[listen])
-                where = f"zenoh on {listen}"
+                outlet = ZenohPublisher(
+                    clock, listen=[listen] if listen else (), config=zenoh_config, token=token
+                )
+                where = f"zenoh on {listen or zenoh_config or 'this machine'}"
             else:
-                raise InputError(f"--protocol: found {protocol!r}; choose qualisys or zenoh")
+                raise InputError(
+                    f"--protocol: found {protocol!r}; choose qualisys, natnet, vrpn or zenoh"
+                )
             with closing(outlet):
                 typer.echo(f"serving {', '.join(names)}: {where}; Ctrl-C ends")
                 try:

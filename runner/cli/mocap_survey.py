@@ -13,7 +13,6 @@ from crazyarena.runner.cli.options.mocap import (
     HOST_HELP,
     OPTION_HELP,
     SOURCE_HELP,
-    nominal_track,
 )
 
 if TYPE_CHECKING:
@@ -40,27 +39,38 @@ def mocap_survey(
     option: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE", help=OPTION_HELP)] = None,
     frames: Annotated[int, typer.Option(min=10, help="Frames to average.")] = 200,
     tolerance: Annotated[
-        float, typer.Option(min=0.0, help="Largest distance from nominal, m.")
-    ] = 0.15,
+        float | None,
+        typer.Option(min=0.0, help="Of x and y each, m, instead of the level's own ranges."),
+    ] = None,
     timeout: Annotated[float, typer.Option(min=0.1, help="Give up after this long, s.")] = 30.0,
 ) -> None:
-    """Average the poses of gates and obstacles; refuse what is out of tolerance."""
+    """Average the poses of gates and obstacles; refuse what is out of tolerance.
+
+    Each of x, y and yaw may differ from nominal by as much as the level draws them, the same as
+    for preflight and fly. Refused is also a gate that cannot be flown through.
+    """
     with bad_input_exits():
         from contextlib import closing
+        from dataclasses import replace
 
         from crazyarena.clock import WallClock
         from crazyarena.levels import load_level
         from crazyarena.mocap.survey import SurveyConfig, survey, write_track
         from crazyarena.runner.rig.cameras import open_named_source
+        from crazyarena.safety.placement import allowed, nominal_track, obstructions
 
         flown = load_level(level)
         nominal = nominal_track(flown)
+        rules = allowed(flown)
+        if tolerance is not None:
+            reach = (-tolerance, tolerance)
+            rules = {name: replace(rule, x=reach, y=reach) for name, rule in rules.items()}
         clock = WallClock()
         with closing(open_named_source(mocap, host, option or (), clock)) as source:
             report = survey(
                 _frames(source, clock, timeout),
                 nominal,
-                SurveyConfig(frames=frames, position_tolerance=tolerance),
+                SurveyConfig(frames=frames, allowed=rules, full_turn=False),
                 [f"gate{i + 1}" for i in flown.track.tracked],
             )
         for measured in report.bodies:
@@ -71,6 +81,10 @@ def mocap_survey(
             )
         if not report.accepted:
             typer.echo("\n".join(report.problems))
+            raise typer.Exit(EXIT_NOT_CLEAN)
+        blocked = obstructions(flown, report.track())
+        if blocked:
+            typer.echo("\n".join(blocked))
             raise typer.Exit(EXIT_NOT_CLEAN)
         write_track(output, report, level)
         typer.echo(f"measured track written to {output}")

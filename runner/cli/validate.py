@@ -64,12 +64,11 @@ def validate(
         from crazyarena.errors import InputError
         from crazyarena.runner.records import validate as validating
         from crazyarena.runner.records.validate_report import save_figure, tables
-        from crazyarena.sim_backend import jit
+        from crazyarena.runner.warm_up import compile_missing
 
         console = Console()
         model = vehicle.load()
-        if jit.is_cold():
-            console.print("Compiling the simulator; only the first run waits for this.")
+        compile_missing(("arena", "estimator"), console)
         with console.status("") as status:
             pairs = validating.validate(
                 flights,

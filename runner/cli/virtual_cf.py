@@ -75,6 +75,19 @@ def virtual_cf(
     radio_port: Annotated[
         int, typer.Option(help="UDP port on which programs with virtual dongles find the air.")
     ] = 19840,
+    table: Annotated[
+        str,
+        typer.Option(
+            help="Whose parameters and log variables: cf21 (Crazyflie 2.1 and 2.1+), cf21b "
+            "(2.1 Brushless) or recorded (a simulation build, for replaying its recordings)."
+        ),
+    ] = "cf21",
+    fleet: Annotated[
+        str | None,
+        typer.Option(
+            metavar="YAML", help="Vehicle list of Crazyswarm: how many, their numbers and places."
+        ),
+    ] = None,
 ) -> None:
     """Run simulated Crazyflies in wall time, each on its own UDP port or on the air.
 
@@ -88,12 +101,13 @@ def virtual_cf(
     with bad_input_exits():
         if profile not in _PROFILES:
             raise InputError(f"--profile: found {profile!r}; choose {' or '.join(_PROFILES)}")
+        from rich.console import Console
+
+        from crazyarena.runner.warm_up import compile_missing
         from crazyarena.sim_backend.crtp.host import Options, build
         from crazyarena.sim_backend.crtp.orders import status
-        from crazyarena.sim_backend.jit import is_cold
 
-        if is_cold():
-            typer.echo("Compiling the simulation; this happens once.", err=True)
+        compile_missing(["arena"], Console(stderr=True))
         running = build(
             Options(
                 count=count,
@@ -116,6 +130,8 @@ def virtual_cf(
                 rate=rate,
                 dongles=dongles,
                 radio_port=radio_port,
+                table=table,
+                fleet=fleet,
             )
         )
     server = running.server

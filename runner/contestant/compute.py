@@ -16,7 +16,19 @@ from crazyarena.errors import InputError
 from crazyarena.runner.contestant.dialogue import Answer, Contestant
 
 MEASURED, FREE, FIXED = "measured", "free", "fixed"
-_WALL_LIMIT = 30.0  # s of wall time for one answer whose duration does not count
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """Wall time that a contestant may take where a simulated clock does not bound it.
+
+    step: s for one answer whose duration does not count; episode, trial: s in all answers of an
+    episode, and in all answers and hooks of a trial.
+    """
+
+    step: float = 30.0
+    episode: float = 600.0
+    trial: float = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,12 +36,13 @@ class Compute:
     """How compute time is charged to a virtual clock.
 
     mode: ``measured``, ``free`` or ``fixed``; fixed: s per control step; factor: how much
-    slower the flight machine is than this one.
+    slower the flight machine is than this one; budget: of wall time.
     """
 
     mode: str = MEASURED
     fixed: float = 0.0
     factor: float = 1.0
+    budget: Budget = Budget()
 
     @property
     def counts(self) -> bool:
@@ -62,8 +75,8 @@ def parse_compute(text: str, factor: float = 1.0) -> Compute:
 class Waiter(Protocol):
     """Waits on the clock for the answer to the last question."""
 
-    def asked(self) -> None:
-        """A question was put to the contestant just now."""
+    def asked(self, step: int) -> None:
+        """A question was put to the contestant just now, of this control step."""
         ...
 
     def wait(self, deadline: float) -> Answer | None:
@@ -76,7 +89,7 @@ class _WallWaiter:
         self._contestant = contestant
         self._clock = clock
 
-    def asked(self) -> None:
+    def asked(self, step: int) -> None:
         return
 
     def wait(self, deadline: float) -> Answer | None:
@@ -92,20 +105,27 @@ class _VirtualWaiter:
         self._compute = compute
         self._patience = patience  # s on the clock after which nobody waits any more
         self._asked_at = 0.0
+        self._step = 0
         self._answer: Answer | None = None
         self._ready = float("inf")
 
-    def asked(self) -> None:
+    def asked(self, step: int) -> None:
+        self._step = step
         self._asked_at = self._clock.now()
         self._answer = None
-        limit = _WALL_LIMIT
-        if self._compute.mode == MEASURED:
+        counted = self._compute.mode == MEASURED
+        limit = self._compute.budget.step
+        if counted:
             limit = self._patience / self._compute.factor
         answer = self._contestant.wait(limit)
+        if answer is None and not counted:
+            text = f"step {self._step}: no answer within {limit:g} s of wall time"
+            answer = Answer(self._step, None, text, limit, timed_out=True)
         self._answer = answer
         self._ready = float("inf")
         if answer is not None:
-            self._ready = self._asked_at + self._compute.cost(answer.seconds)
+            late = answer.timed_out
+            self._ready = self._asked_at + (0.0 if late else self._compute.cost(answer.seconds))
 
     def wait(self, deadline: float) -> Answer | None:
         if self._answer is None or self._ready > deadline:

@@ -46,8 +46,8 @@ class Answer:
 
     asked: None if the controller failed (or was asked for nothing); error: its traceback or
     what was wrong with its answer. seconds: from question to answer, as the asker measured it;
-    command_seconds, learn_seconds: of the two calls, as the contestant's side measured them; 0.0
-    for one that was not made.
+    command_seconds, learn_seconds: of the two calls, as the asker measured them; 0.0 for one that
+    was not made. timed_out: it did not come in the wall time allowed; ``error`` says so.
     """
 
     step: int
@@ -56,6 +56,7 @@ class Answer:
     seconds: float
     command_seconds: float = 0.0
     learn_seconds: float = 0.0
+    timed_out: bool = False
 
 
 class Contestant(Protocol):

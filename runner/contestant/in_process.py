@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from crazyarena.errors import CommandError
+from crazyarena.errors import CommandError, InputError
 from crazyarena.levels.schema import Level
 from crazyarena.runner.contestant.contract_2022.command_check import checked
 from crazyarena.runner.contestant.contract_2022.info import Canvas, initial_info
 from crazyarena.runner.contestant.dialogue import Answer, Question
 from crazyarena.runner.contestant.interrupt import Interrupt
+from crazyarena.runner.contestant.prints import PrintsShown
 from crazyarena.runner.contestant.submission import Submission, own_traceback
+from crazyarena.runner.timing.step_limit import TimeIsUp, bounded
 
 Array = NDArray[np.float64]
 
@@ -36,8 +39,11 @@ class Pilot:
         """Whether the controller has ``interStepLearn``."""
         return hasattr(self._controller, "interStepLearn")
 
-    def answer(self, question: Question) -> Answer:
-        """Call the controller for one control step; never raises for its failures."""
+    def answer(self, question: Question, on_learned: Callable[[], None] = lambda: None) -> Answer:
+        """Call the controller for one control step; never raises for its failures.
+
+        ``on_learned`` is called when it has learned from the step before, if it did.
+        """
         started = time.perf_counter()
         learned = started
         where = "interStepLearn"
@@ -46,6 +52,7 @@ class Pilot:
                 a = question.learn
                 self._controller.interStepLearn(a.action, a.state, a.reward, a.done, a.info)
                 learned = time.perf_counter()
+                on_learned()
             asked = None
             if question.obs is not None:
                 where = "cmdFirmware"
@@ -61,7 +68,7 @@ class Pilot:
             )
         except CommandError as error:
             text = str(error)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, TimeIsUp):
             raise
         except BaseException as error:
             text = f"step {question.step}: {where} raised\n{own_traceback(error)}"
@@ -74,7 +81,7 @@ class Pilot:
         started = time.perf_counter()
         try:
             hook()
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, TimeIsUp):
             raise
         except BaseException as error:
             return time.perf_counter() - started, f"{name} raised\n{own_traceback(error)}"
@@ -85,23 +92,37 @@ class Pilot:
 
 
 class InProcess:
-    """A contestant that lives in this process: for dry runs of one's own code only."""
+    """A contestant that lives in this process: for dry runs of one's own code only.
 
-    def __init__(self, submission: Submission) -> None:
+    It is interrupted when it does not return in time; make_timeout, hook_timeout: s of wall time
+    for the constructor and the episode hooks.
+    """
+
+    def __init__(
+        self, submission: Submission, make_timeout: float = 120.0, hook_timeout: float = 120.0
+    ) -> None:
         self.digest = submission.digest
         self.submission = submission
-        self.description = {"process": "that of the runner", "sandbox": []}
+        self.description = {"process": "that of the runner", "isolated": False, "sandbox": []}
         self.learns = False
         self._pilot = Pilot(submission)
         self._question: Question | None = None
         self._interrupt = Interrupt()
+        self._printing = PrintsShown(lambda: self._interrupt.in_controller)
+        self._make_timeout, self._hook_timeout = make_timeout, hook_timeout
 
     def heed(self, interrupt: Interrupt) -> None:
         self._interrupt = interrupt
 
     def make(self, obs: list[Any], level: Level, start: Array) -> None:
-        with self._interrupt.at_once():
-            self._pilot.make(obs, level, start)
+        try:
+            with self._interrupt.at_once(), bounded(self._make_timeout):
+                self._pilot.make(obs, level, start)
+        except TimeIsUp as late:
+            raise InputError(
+                f"{self.submission.file}: Controller(...) did not return within "
+                f"{self._make_timeout:g} s\n{own_traceback(late)}"
+            ) from None
         self.learns = self._pilot.learns
 
     def ask(self, question: Question) -> None:
@@ -113,15 +134,29 @@ class InProcess:
             return None
         interrupt = self._interrupt
         interrupt.in_controller = True
+        started = time.perf_counter()
         try:
-            return self._pilot.answer(question)
+            with bounded(timeout):
+                return self._pilot.answer(question)
+        except TimeIsUp as late:
+            text = (
+                f"step {question.step}: no answer within {timeout:g} s of wall time\n"
+                f"{own_traceback(late)}"
+            )
+            seconds = time.perf_counter() - started
+            return Answer(question.step, None, text, seconds, timed_out=True)
         finally:
             interrupt.in_controller = False
 
     def hook(self, name: str) -> tuple[float, str | None]:
-        with self._interrupt.at_once():
-            return self._pilot.hook(name)
+        try:
+            with self._interrupt.at_once(), bounded(self._hook_timeout):
+                return self._pilot.hook(name)
+        except TimeIsUp as late:
+            text = f"{name} did not return within {self._hook_timeout:g} s\n{own_traceback(late)}"
+            return self._hook_timeout, text
 
     def close(self) -> None:
+        self._printing.close()
         self._pilot.close()
         self.submission.close()

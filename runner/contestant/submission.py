@@ -17,14 +17,21 @@ import os
 import sys
 import traceback
 import types
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from crazyarena.bounded_read import check_code, size_words
 from crazyarena.errors import InputError
+from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.contract_2022 import shims
+from crazyarena.runner.timing.step_limit import TimeIsUp, bounded
 
 _ENTRY = "edit_this"
+MOST_BYTES = 1024 * 2**20  # of a submission
+MOST_FILES = 20_000
+MOST_TEXT = 48 * 1024  # characters of a traceback
+_IMPORT = 120.0  # s of wall time
 _IGNORED = {"__pycache__", ".git", "results", "runs"}
 
 
@@ -50,28 +57,58 @@ def entry_file(path: Path) -> Path:
         return file
     if not path.exists():
         raise InputError(f"{path}: no such file or folder. Pass a submission's folder or .py file")
-    if path.suffix != ".py":
+    if path.suffix != ".py" or not path.is_file():
         raise InputError(f"{path}: not a Python file. Pass a submission's folder or .py file")
     return path
 
 
-def submission_hash(path: Path) -> str:
-    """SHA-256 over the submission's entry file, or over all files of its folder.
+def submission_files(path: Path) -> Iterator[Path]:
+    """What belongs to a submission: its one file, or all files of its folder, in order.
 
-    Compiled files, results and version control do not count.
+    Compiled files, results, version control and what is no regular file do not.
     """
-    digest = hashlib.sha256()
     if path.is_file():
-        digest.update(path.read_bytes())
-        return digest.hexdigest()
+        yield path
+        return
     for root, folders, files in os.walk(path):
         folders[:] = sorted(f for f in folders if f not in _IGNORED and not f.startswith("."))
         for name in sorted(files):
             file = Path(root) / name
-            if name.startswith(".") or not file.is_file():
-                continue
-            digest.update(file.relative_to(path).as_posix().encode() + b"\0")
-            digest.update(hashlib.sha256(file.read_bytes()).digest())
+            if not name.startswith(".") and file.is_file():
+                yield file
+
+
+def check_size(path: Path, most: int = MOST_BYTES, most_files: int = MOST_FILES) -> None:
+    """Raise InputError for a submission of more than ``most`` bytes or ``most_files`` files.
+
+    By what the file system says of them; nothing is read.
+    """
+    remedy = "Leave out what a controller does not need (data, videos, results)"
+    check_code(entry_file(path))
+    total = 0
+    for count, file in enumerate(submission_files(path), 1):
+        length = file.stat().st_size
+        total += length
+        if length > most:
+            raise InputError(
+                f"{file}: {size_words(length)}; a submission may have {size_words(most)}. {remedy}"
+            )
+        if total > most:
+            raise InputError(f"{path}: more than the {size_words(most)} of a submission. {remedy}")
+        if count > most_files:
+            raise InputError(f"{path}: more than the {most_files} files of a submission. {remedy}")
+
+
+def submission_hash(path: Path) -> str:
+    """SHA-256 over the submission's entry file, or over all :func:`submission_files`."""
+    digest = hashlib.sha256()
+    if path.is_file():
+        with open(path, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    for file in submission_files(path):
+        digest.update(file.relative_to(path).as_posix().encode("utf-8", "surrogateescape") + b"\0")
+        with open(file, "rb") as stream:
+            digest.update(hashlib.file_digest(stream, "sha256").digest())
     return digest.hexdigest()
 
 
@@ -115,6 +152,7 @@ class Submission:
         self.path = Path(path).expanduser().resolve()
         self.file = entry_file(self.path)
         self.folder = self.file.parent
+        check_size(self.path)
         self.digest = submission_hash(self.path)
         needs_package = _imports_relatively(self.file)
         self.workdir = Path(workdir).resolve()
@@ -210,9 +248,15 @@ class Submission:
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module
         try:
-            spec.loader.exec_module(module)
+            with bounded(_IMPORT):
+                spec.loader.exec_module(module)
         except KeyboardInterrupt:
             raise
+        except TimeIsUp as late:
+            raise InputError(
+                f"{self.file}: importing the submission did not end within {_IMPORT:g} s\n"
+                f"{own_traceback(late)}"
+            ) from None
         except BaseException as error:
             raise InputError(
                 f"{self.file}: importing the submission failed: "
@@ -240,7 +284,7 @@ class Submission:
         """Construct the controller; raises InputError with its traceback if it raises."""
         try:
             return self.controller_class(initial_obs, initial_info, use_firmware, verbose=verbose)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, TimeIsUp):
             raise
         except BaseException as error:
             raise InputError(
@@ -260,4 +304,4 @@ def own_traceback(error: BaseException) -> str:
     ]
     lines = ["Traceback (most recent call last):\n", *traceback.format_list(frames)]
     lines += traceback.format_exception_only(type(error), error)
-    return "".join(lines).rstrip()
+    return shown("".join(lines), MOST_TEXT).rstrip()

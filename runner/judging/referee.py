@@ -355,6 +355,16 @@ class Referee:
         return 0
 
     @property
+    def level(self) -> Level:
+        """What it judges by."""
+        return self._level
+
+    @property
+    def true_gates(self) -> Array:
+        """(n, 7) where the gates truly are."""
+        return self._gates
+
+    @property
     def gates(self) -> int:
         """How many gates the track has."""
         return self._n_gates

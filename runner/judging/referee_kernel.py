@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.runner.judging.verdict_row import (
     VD_AT_GOAL,
     VD_COMPLETED,
@@ -28,7 +29,6 @@ from crazyarena.runner.judging.verdict_row import (
     VD_TUMBLED,
     VD_VIOLATION,
 )
-from crazyarena.sim_backend.jit import kernel
 from crazyarena.sim_backend.physics.geometry import (
     first_contact,
     gate_in_range,

@@ -33,7 +33,8 @@ class EpisodeResult:
     answer_ms from question to answer.
     missed_ticks: control steps in which no command of the contestant was applied;
     late_commands: commands applied at a later tick than their own; phases: s by name.
-    reveals: when which gate's exact pose was told.
+    reveals: when which gate's exact pose was told. why: the termination with what the referee
+    knows of it, in one line.
     """
 
     index: int
@@ -66,6 +67,7 @@ class EpisodeResult:
     files: dict[str, str] = field(default_factory=dict)
     phases: dict[str, float] = field(default_factory=dict)
     reveals: list[dict[str, Any]] = field(default_factory=list)
+    why: str = ""
 
     @property
     def clean(self) -> bool:
@@ -85,10 +87,15 @@ class EpisodeResult:
 
 @dataclass
 class TrialResult:
-    """All episodes of a trial."""
+    """All episodes of a trial.
+
+    isolated: the contestant was behind walls. Otherwise it could read what the judge knows and
+    write what the judge says: good for one's own work, not for comparing with others.
+    """
 
     episodes: list[EpisodeResult]
     requested: int
+    isolated: bool = False
 
     @property
     def clean(self) -> bool:
@@ -103,7 +110,8 @@ class TrialResult:
     def score(self) -> dict[str, Any]:
         """The competition's two measures; None where the last episode does not qualify.
 
-        A: flight time of the last episode. B: flight time of all episodes plus learning time.
+        A: flight time of the last episode. B: flight time of all episodes plus learning time, which
+        is the judge's measure of a contestant that is isolated.
         """
         if not self.episodes:
             return {"qualified": False, "A_flight_time": None, "B_total_time": None}

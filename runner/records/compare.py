@@ -7,7 +7,6 @@ the times of gates and goal.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from crazyarena.bounded_read import read_json
 from crazyarena.errors import InputError
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.records import export
 
 Array = NDArray[np.float64]
@@ -134,12 +135,7 @@ def _flight(file: Path) -> Flight:
     if verdicts is not None and len(verdicts):
         duration = float(verdicts[-1, recording.columns["referee"].index("time")])
     flown = time <= duration
-    termination = ""
-    result = file.parent / "result.json"
-    if result.is_file():
-        for episode in json.loads(result.read_text())["episodes"]:
-            if episode["files"].get("recording") == file.name:
-                termination = episode["termination"]
+    termination = _termination(file)
     events = [e["event"] for e in recording.events]
     return Flight(
         file,
@@ -151,6 +147,25 @@ def _flight(file: Path) -> Flight:
         events.count("deadline missed"),
         recording.metadata.get("vehicle", ""),
     )
+
+
+def _termination(file: Path) -> str:
+    """How the flight of a recording ended, by the ``result.json`` beside it; empty if untold."""
+    result = file.parent / "result.json"
+    if not result.is_file():
+        return ""
+    document = read_json(result, "result")
+    episodes = document.get("episodes") if isinstance(document, dict) else None
+    if not isinstance(episodes, list):
+        raise InputError(f"{result}: field episodes: need a list")
+    for index, episode in enumerate(episodes):
+        try:
+            if episode["files"].get("recording") == file.name:
+                return shown_line(str(episode["termination"]))
+        except (KeyError, TypeError, AttributeError) as error:
+            reason = shown_line(f"{type(error).__name__}: {error}")
+            raise InputError(f"{result}: episodes[{index}]: {reason}") from None
+    return ""
 
 
 def compare(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crazyarena.errors import InputError
+from crazyarena.plain_text import shown, shown_in, shown_line
 
-_FIELD = re.compile(r"^float64(?:\[(\d+)\])?\s+(\w+)$")
+_FIELD = re.compile(r"^float64(?:\[(\d{1,6})\])?\s+(\w+)$", re.ASCII)
+_MOST_COLUMNS = 10_000
 
 
 @dataclass
@@ -37,12 +38,18 @@ class Recording:
     complete: bool
 
 
-def _columns(schema: str) -> list[str]:
+def _columns(schema: bytes, where: str) -> list[str]:
+    try:
+        text = schema.decode()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{where}: schema: byte {error.start} is not UTF-8 text") from None
     names: list[str] = []
-    for line in schema.splitlines():
+    for line in text.splitlines():
         match = _FIELD.match(line.strip())
         if match:
             size, name = match.groups()
+            if len(names) + int(size or 1) > _MOST_COLUMNS:
+                raise InputError(f"{where}: schema: more than {_MOST_COLUMNS} columns")
             names += [name] if size is None else [f"{name}_{i}" for i in range(int(size))]
     return names
 
@@ -60,57 +67,66 @@ def recordings(run: Path) -> list[Path]:
 
 
 def read(file: Path) -> Recording:
-    """Read a recording, finished or cut short; raises InputError if it is none."""
-    from mcap.exceptions import McapError
-    from mcap.records import Channel, Chunk, DataEnd, Message, Metadata, Schema
-    from mcap.stream_reader import StreamReader, breakup_chunk
+    """Read a recording, finished or cut short.
 
-    schemas: dict[int, Any] = {}
-    channels: dict[int, Any] = {}
-    payloads: dict[int, list[bytes]] = {}
-    metadata: dict[str, str] = {}
-    complete = False
+    Raises
+    ------
+    InputError: it is none, holds what no recording of ours holds, or unpacks to more than one
+        can; with the place.
+    """
+    from crazyarena.runner.records.mcap_records import read_records
 
-    def take(records: Iterable[Any]) -> None:
-        nonlocal complete
-        for record in records:
-            if isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel):
-                channels[record.id] = record
-            elif isinstance(record, Message):
-                payloads.setdefault(record.channel_id, []).append(record.data)
-            elif isinstance(record, Chunk):
-                take(breakup_chunk(record))
-            elif isinstance(record, Metadata) and record.name == "crazyarena":
-                metadata.update(record.metadata)
-            elif isinstance(record, DataEnd):
-                complete = True
-                return
-
-    with open(file, "rb") as stream:
-        try:
-            take(StreamReader(stream, emit_chunks=True).records)
-        except McapError as error:
-            if not channels:
-                raise InputError(f"{file}: not an MCAP recording: {error}") from error
-        except Exception as error:
-            # The reader stops with all sorts of errors where a dying process stopped writing.
-            if not channels:
-                raise InputError(f"{file}: not an MCAP recording: {error}") from error
-    tables, columns, events = {}, {}, []
-    for number, channel in channels.items():
-        topic = channel.topic.strip("/")
-        schema = schemas[channel.schema_id]
-        messages = payloads.get(number, [])
+    found = read_records(file)
+    tables: dict[str, NDArray[np.float64]] = {}
+    columns: dict[str, list[str]] = {}
+    events: list[dict[str, Any]] = []
+    for number, channel in found.channels.items():
+        topic = shown_line(channel.topic.strip("/"))
+        schema = found.schemas.get(channel.schema_id)
+        messages = found.payloads.get(number, [])
         if topic == "event":
-            events = [json.loads(data) for data in messages]
+            events = [_event(data, f"{file}: event {i}") for i, data in enumerate(messages)]
+        elif schema is None and channel.schema_id == 0:
+            continue  # of another program
+        elif schema is None:
+            raise InputError(f"{file}: topic {topic}: its schema {channel.schema_id} is missing")
         elif channel.message_encoding == "cdr" and schema.name.startswith("crazyarena/"):
-            names = _columns(schema.data.decode())
-            raw = b"".join(data[4:] for data in messages)
-            tables[topic] = np.frombuffer(raw, "<f8").reshape(-1, len(names))
+            names = _columns(schema.data, f"{file}: topic {topic}")
+            tables[topic] = _table(messages, len(names), f"{file}: topic {topic}")
             columns[topic] = names
-    return Recording(tables, columns, events, metadata, complete)
+    return Recording(tables, columns, events, found.metadata, found.complete)
+
+
+def _event(data: bytes, where: str) -> dict[str, Any]:
+    try:
+        fields = json.loads(data)
+        return {
+            **{name: shown_in(value) for name, value in fields.items()},
+            "time": float(fields["time"]),
+            "tick": int(fields["tick"]),
+            "event": shown_line(str(fields["event"])),
+            "detail": shown(str(fields["detail"])),
+        }
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        AttributeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
+        reason = shown_line(f"{type(error).__name__}: {error}")
+        raise InputError(f"{where}: no event of a recording: {reason}") from None
+
+
+def _table(messages: list[bytes], width: int, where: str) -> NDArray[np.float64]:
+    for index, data in enumerate(messages):
+        if len(data) != 4 + 8 * width:
+            raise InputError(
+                f"{where}: message {index} has {len(data)} bytes; its schema says {4 + 8 * width}"
+            )
+    raw = b"".join(data[4:] for data in messages)
+    return np.frombuffer(raw, "<f8").reshape(len(messages), width)
 
 
 def write_csv(recording: Recording, stem: Path) -> list[Path]:

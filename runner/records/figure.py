@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crazyarena.levels.schema import Level
+from crazyarena.plain_text import unmarked
 from crazyarena.runner.judging.result import EpisodeResult
 from crazyarena.sim_backend.physics.scene import BASE_WIDTH, BEAM_LENGTH, OBSTACLE_RADIUS
 from crazyarena.sim_backend.trace import TR_POS, TR_SETPOINT, TR_TIME
@@ -55,6 +56,8 @@ def save_figure(
     states: NDArray[np.float64],
     gates: NDArray[np.float64],
     obstacles: NDArray[np.float64],
+    *,
+    isolated: bool = False,
 ) -> None:
     """Write a PNG.
 
@@ -62,6 +65,7 @@ def save_figure(
     ----------
     states: (n, TRACE_SIZE) ticks of the episode.
     gates, obstacles: (n, 7) and (m, 6), true poses.
+    isolated: the contestant could not reach its judge; if not, the figure says so.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -84,8 +88,11 @@ def save_figure(
     top.set_ylabel("y [m]")
     top.grid(True, alpha=0.3)
     top.set_title(
-        f"{level.name}, episode {result.index + 1}: {result.termination}, "
-        f"{result.flight_time:.2f} s, {result.gates_passed}/{result.gates} gates",
+        unmarked(
+            f"{level.name}, episode {result.index + 1}: {result.termination}, "
+            f"{result.flight_time:.2f} s, {result.gates_passed}/{result.gates} gates"
+            + ("" if isolated else " (not isolated)")
+        ),
         fontsize=10,
     )
     time = states[:, TR_TIME]

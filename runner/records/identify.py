@@ -186,7 +186,12 @@ def _gather(
 
 
 def _note(
-    model: _Model, name: str, value: Sequence[float], error: float, source: str, count: int
+    model: _Model,
+    name: str,
+    value: Sequence[float] | np.ndarray,
+    error: float,
+    source: str,
+    count: int,
 ) -> None:
     before = _value(model.vehicle, name)
     told = tuple(float(one) for one in value)

@@ -118,7 +118,8 @@ def _regress(columns: Array, target: Array) -> tuple[Array, Array, float]:
 
     Samples of a flight hang together: errors count one sample in ten.
     """
-    found, _, rank, _ = np.linalg.lstsq(columns, target, rcond=None)
+    solved, _, rank, _ = np.linalg.lstsq(columns, target, rcond=None)
+    found: Array = solved.astype(np.float64)
     left = target - columns @ found
     rest = float(left @ left)
     if rank < columns.shape[1]:

@@ -35,7 +35,7 @@ from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.mocap.sim_source import SimSource
 from crazyarena.runner.rig.safeguard import LANDING, TICK
 from crazyarena.safety.estop import EmergencyStop, interrupt_policy
-from crazyarena.safety.estop_sources import SocketSource
+from crazyarena.safety.estop_socket import SocketSource
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.gate import CommandGate, Policy, Refused

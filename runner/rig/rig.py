@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 # Children of the trial's seed, so that the level's own draws stay what the seed says.
 _RIG_STREAM = 0x51
 EXTERNAL_POSE_RATE = 100.0  # Hz
+_CARRIED = 0.2  # s for which a vehicle stands at its start before anybody looks
 _WATCH_PERIOD = 0.005  # s, between looks at the vehicle when there are no frames
 
 
@@ -62,6 +63,8 @@ class Rig:
     safeguard: None when nobody guards.
     pipeline: fed by whoever lets time pass: a thread, or the virtual clock.
     stage: called with the draw of an episode before it; what people do by hand in an arena.
+    renews: ``stage`` switches the vehicle off and on, so that whatever became of it in an episode
+        does not keep it from the next.
     description: for the report.
     lost: why vehicle and cameras are out of reach for good, or None.
     """
@@ -77,6 +80,7 @@ class Rig:
     description: dict[str, object] = field(default_factory=dict)
     closers: list[Callable[[], None]] = field(default_factory=list)
     lost: Callable[[], str | None] = lambda: None
+    renews: bool = False
 
     def close(self) -> None:
         """Release everything, last built first; idempotent."""
@@ -167,12 +171,23 @@ def simulated(
 
     arena.clock.on_advance(advance)
 
+    staged = False
+
     def stage(draw: Draw) -> None:
+        nonlocal staged
         arena.stage(draw)
+        if staged:
+            if safeguard is not None:
+                safeguard.renew()  # else its keepalive would go on with the new vehicle
+            # Frames of where it was are still on their way.
+            arena.clock.sleep_until(arena.clock.now() + _CARRIED)
+        staged = True
         if supply.spread:
             flown.append(supply.told())
         # The vehicle was carried: where it was says nothing of where it is.
         pipeline.estimator.reset(arena.body)
+        if safeguard is not None:
+            safeguard.renew()
 
     model = arena.source.model
     flown: list[dict[str, object]] = []
@@ -195,4 +210,5 @@ def simulated(
             "mocap_position_noise": model.position_noise,
         },
         [arena.close, pipeline.close, *([] if safeguard is None else [safeguard.close])],
+        renews=True,
     )

@@ -13,7 +13,7 @@ from crazyarena.mocap.estimator import FrameResult
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.runner.judging.referee import Event
 from crazyarena.runner.rig.stops import StopOptions, Stops, open_stops
-from crazyarena.safety.estop import EmergencyStop, Hold
+from crazyarena.safety.estop import EmergencyStop, Hold, say_loudly
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.gate import CommandGate
@@ -111,15 +111,23 @@ class Safeguard:
 
         Returns what is in force, in words, and what must be held, if anything.
         """
-        self._stops = open_stops(options, self.estop, self._clock)
+        self._stops = open_stops(options, self.estop, self._clock, say=self._trouble)
         self.must_hold(self._stops.dead_man)
         return self._stops.notes, self._stops.dead_man
 
     def open_keys(self, options: StopOptions) -> list[str]:
         """Let the terminal's keys stop, and be held for what must be held."""
         held = None if self._stops is None else self._stops.dead_man
-        self._keys = open_stops(options, self.estop, self._clock, dead_man=held)
+        self._keys = open_stops(options, self.estop, self._clock, dead_man=held, say=self._trouble)
         return self._keys.notes
+
+    def _trouble(self, text: str) -> None:
+        """A source of the stop was tampered with or is gone; from its thread."""
+        say_loudly(text)
+        now, nothing = self._clock.now(), math.nan
+        self._told.append(
+            SafetyEvent("stop_source", Action.WARN, nothing, nothing, Action.WARN, now, None, text)
+        )
 
     def close_keys(self) -> None:
         """Give the keys back; idempotent."""
@@ -151,6 +159,12 @@ class Safeguard:
         if self._watchdog is not None:
             self._watchdog.close()
         self.estop.close()
+
+    def renew(self) -> None:
+        """Begin anew: the vehicle was put down at its start and switched on."""
+        self.gate.renew()
+        self.watchdog.renew()
+        self._told.clear()
 
     # Watch
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from crazyarena.clock import Clock
 from crazyarena.errors import DependencyMissing, InputError
-from crazyarena.safety.estop import DeadMan, StopButton
+from crazyarena.safety.estop import DeadMan, StopButton, say_loudly
 
 if TYPE_CHECKING:
     from crazyarena.safety.rehearsal import Rehearsals
@@ -149,6 +149,7 @@ def open_stops(
     dead_man: DeadMan | None = None,
     stream: int | None = None,
     folder: Path | None = None,
+    say: Callable[[str], None] = say_loudly,
 ) -> Stops:
     """Open every source asked for; all of them pull ``stop``, each in a thread of its own.
 
@@ -157,12 +158,14 @@ def open_stops(
     dead_man: the one to tell, if it exists already.
     stream: the terminal; standard input by default.
     folder: of the socket ``crazyarena estop`` looks for.
+    say: told of a source that was tampered with or is gone, from its thread.
 
     Raises
     ------
     InputError, DependencyMissing: a source cannot be opened; then none is.
     """
     from crazyarena.safety import estop_sources as sources
+    from crazyarena.safety.estop_socket import SocketSource
     from crazyarena.safety.estop_token import TokenCheck, read_secret
     from crazyarena.safety.rehearsal import Rehearsals
 
@@ -175,11 +178,11 @@ def open_stops(
     with contextlib.ExitStack() as undo:
         undo.callback(stops.close)
         if options.shell:
-            stops._closers.append(sources.SocketSource(stop, folder).close)
+            stops._closers.append(SocketSource(stop, folder, say).close)
             stops.notes.append("crazyarena estop in another shell stops the motors")
         if options.gamepad is not None:
             device = sources.open_gamepad(options.gamepad)
-            stops._closers.append(sources.GamepadSource(stop, by_gamepad, device).close)
+            stops._closers.append(sources.GamepadSource(stop, by_gamepad, device, say=say).close)
             stops.notes.append(f"button B of {device.name} stops the motors")
         if options.over_zenoh:
             secret = None if options.token is None else read_secret(options.token)
@@ -192,7 +195,7 @@ def open_stops(
             stops.notes.append(f"crazyarena estop over zenoh ({where}) {proof} stops the motors")
         if options.keyboard:
             terminal = _stdin() if stream is None else stream
-            stops._closers.append(sources.KeyboardSource(stop, by_key, terminal).close)
+            stops._closers.append(sources.KeyboardSource(stop, by_key, terminal, say).close)
             stops.notes.append("space, Enter, Escape or q stops the motors; Ctrl-C lands")
         undo.pop_all()
     return stops
@@ -203,13 +206,13 @@ class _Remembered:
 
     def __init__(self, stop: StopButton, rehearsals: Rehearsals) -> None:
         self.trigger = stop.trigger
+        self.outcome = stop.outcome
         self._stop = stop
         self._rehearsals = rehearsals
 
     def tested(self) -> None:
         self._stop.tested()
-        with contextlib.suppress(OSError):
-            self._rehearsals.note_stop()
+        self._rehearsals.note_stop()
 
 
 def _stdin() -> int:

@@ -1,10 +1,11 @@
-"""A whole arena in a process of its own: a virtual Crazyflie on UDP and cameras on zenoh.
+"""A whole arena in a process of its own: a virtual Crazyflie on UDP or on the air, and cameras
+on zenoh or as one of the emulated systems.
 
 ``python -m crazyarena.runner.rig.virtual_arena CONFIG`` with a JSON object: level_file (path),
-seed, vehicle (id), vehicle_file, port, endpoint, cameras (fields of CameraModel), battery (times
-the usual capacity).
-Prints one line of JSON with ``uri`` once it runs, and on SIGTERM one with how it kept up, then
-ends; also 20 s after its standard input was closed.
+seed, vehicle (id), vehicle_file, port, radio (on the air, not on the port), place of the cameras,
+cameras (fields of CameraModel), battery (times the usual capacity). Prints one line of JSON with
+``uri`` and ``air`` once it runs, and on SIGTERM one with how it kept up, then ends; also 20 s after
+its standard input was closed.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import json
 import os
 import select
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -30,6 +30,7 @@ from crazyarena.errors import BackendError
 from crazyarena.levels import dump_level, load_level
 from crazyarena.levels.draw import LevelRandom
 from crazyarena.levels.schema import Level
+from crazyarena.runner.rig import arena_cameras
 from crazyarena.runner.timing.realtime import SERVING, lock_memory, lower_priority, raise_priority
 from crazyarena.types import Pose
 
@@ -43,10 +44,11 @@ _AFTER_RUNNER = 20.0  # s
 def _serve(config: dict[str, Any]) -> None:
     from crazyarena.mocap.camera_model import CameraModel
     from crazyarena.mocap.sim_source import SimSource
-    from crazyarena.mocap.zenoh_link import ZenohPublisher
     from crazyarena.sim_backend.arena import ArenaFleet
     from crazyarena.sim_backend.arena_kernel import DT
     from crazyarena.sim_backend.arena_world import LinkModel, Track, motions, sensor_noise
+    from crazyarena.sim_backend.crazyradio.fleet import put_on_air
+    from crazyarena.sim_backend.crazyradio.gateway import Gateway
     from crazyarena.sim_backend.crtp.faults import Faults
     from crazyarena.sim_backend.crtp.server import VirtualServer
     from crazyarena.sim_backend.crtp.swarm import Send, VirtualSwarm
@@ -101,14 +103,21 @@ def _serve(config: dict[str, Any]) -> None:
     raise_priority(SERVING, inherit=True)
     clock = WallClock()
     cameras = SimSource(clock, None, CameraModel(**config["cameras"]), for_cameras)
-    publisher = ZenohPublisher(clock, listen=[config["endpoint"]])
+    publisher = arena_cameras.serve(config["place"], list(swarm.truth()), clock)
+    links, gateway = None, None
+    if config["radio"]:
+        links, air = put_on_air(fleet.ids, clock)
+        gateway = Gateway(air, clock, port=0)
     # The air between the two takes as long as that of a dry run.
     link = LinkModel()
     server = VirtualServer(
         swarm,
         "127.0.0.1",
         config["port"],
-        faults=Faults(latency=link.latency + link.jitter, jitter=link.jitter),
+        links=links,
+        faults=None
+        if config["radio"]
+        else Faults(latency=link.latency + link.jitter, jitter=link.jitter),
         clock=clock,
         cameras=cameras,
         publisher=publisher,
@@ -123,7 +132,8 @@ def _serve(config: dict[str, Any]) -> None:
         server.stop()
 
     threading.Thread(target=outlive_the_runner, daemon=True).start()
-    print(json.dumps({"uri": server.uris[0]}), flush=True)
+    told = {"uri": server.uris[0], "air": "" if gateway is None else gateway.address}
+    print(json.dumps(told), flush=True)
     try:
         server.run()
         end = fleet.true_pose(0).position
@@ -136,11 +146,14 @@ def _serve(config: dict[str, Any]) -> None:
                     "supervisor": info,
                     "stalls": pace.stalls,
                     "worst_ms": pace.worst,
+                    "link": server.links[0].report(),
                 }
             ),
             flush=True,
         )
     finally:
+        if gateway is not None:
+            gateway.close()
         server.close()
         publisher.close()
 
@@ -150,7 +163,8 @@ class VirtualArena:
 
     Attributes
     ----------
-    uri: of the virtual vehicle. endpoint: of the cameras, for a zenoh source.
+    uri: of the virtual vehicle. air: where dongles find it, empty over UDP. source: the pose
+    source that sees it. endpoint: of the cameras, where they are on zenoh.
     report: what the child told at its end.
 
     Raises
@@ -167,11 +181,16 @@ class VirtualArena:
         vehicle: int = 1,
         cameras: dict[str, Any] | None = None,
         battery: float = 1.0,
+        radio: bool = False,
         supply: VehicleSupply | None = None,
+        mocap: str = "zenoh",
+        mocap_options: dict[str, Any] | None = None,
     ) -> None:
         from crazyarena.sim_backend.vehicles import level_supply, vehicle_file
 
-        self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        place = arena_cameras.free_places(mocap)
+        self.endpoint = arena_cameras.endpoint(place)
+        self.source = arena_cameras.source(place, cameras or {}, **(mocap_options or {}))
         self.report: dict[str, Any] = {}
         level_file = folder / "level.yaml"
         level_file.write_text(dump_level(level))
@@ -182,9 +201,10 @@ class VirtualArena:
             "vehicle": vehicle,
             "vehicle_file": str(vehicle_file(folder, flown)),
             "port": 0,
-            "endpoint": self.endpoint,
+            "place": place,
             "cameras": cameras or {},
             "battery": battery,
+            "radio": radio,
         }
         self._errors = open(folder / "virtual_arena.log", "w+")  # noqa: SIM115 - closed by close()
         self._process = subprocess.Popen(
@@ -195,7 +215,8 @@ class VirtualArena:
             text=True,
         )
         try:
-            self.uri = str(self._line(_START_TIMEOUT)["uri"])
+            told = self._line(_START_TIMEOUT)
+            self.uri, self.air = str(told["uri"]), str(told["air"])
         except BaseException:
             self.close()
             raise
@@ -243,12 +264,6 @@ class VirtualArena:
             if pipe is not None:
                 pipe.close()
         self._errors.close()
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 if __name__ == "__main__":

@@ -58,6 +58,7 @@ class ArenaStaging(Staging):
         self._world = world
         self._steady = real_time
         self._began = 0.0
+        self.renews = world.rig.renews
         self._gates = MovingGates(level, world.rig) if level.track.tracked else None
 
     @contextlib.contextmanager

@@ -28,13 +28,16 @@ _LOOK = 0.4  # s, over which the vehicle's estimate must be still, and bodies ar
 _PERIOD = 0.02  # s
 # In the order of the checklist; {} is the vehicle's body.
 _ALWAYS = (
+    "world axes",
     "arena clear",
+    "camera rate",
     "{} connected",
     "{} state",
     "{} battery",
     "{} estimator",
     "{} agrees with cameras",
     "{} controller",
+    "{} heading",
     "{} at start",
 )
 _WITH_PEOPLE = ("disk", "e-stop tested", "{} is body {}")
@@ -145,7 +148,11 @@ class FlightChecklist:
             own,
             controller,
         )
-        machine: tuple[Callable[[pf.Preflight], list[pf.Line]], ...] = (pf.check_strangers,)
+        machine: tuple[Callable[[pf.Preflight], list[pf.Line]], ...] = (
+            pf.check_axes,
+            pf.check_strangers,
+            pf.check_cameras,
+        )
         each: tuple[Callable[[pf.Preflight, pf.VehicleFacts], list[pf.Line]], ...] = (
             pf.check_connected,
             pf.check_state,
@@ -155,11 +162,13 @@ class FlightChecklist:
         )
         if self._uri is not None:
             machine = (*machine, pf.check_disk, pf.check_estop)
-            each = (*each, pf.check_body)
+            each = (*each, pf.check_body, pf.check_heading)
         checklist = pf.Preflight(
             self._level,
             [fact],
+            poses=bodies.now(),
             bodies=sorted(bodies.now()),
+            camera_rate=bodies.frames.rate,
             known=bodies.known(Fence.from_level(self._level)),
             estop=EmergencyStop([], clock),
             out=self._out,

@@ -16,6 +16,7 @@ import numpy as np
 
 from crazyarena.crazyswarm_compat import commands as cs
 from crazyarena.errors import BackendError, CommandError
+from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.compute import Compute, make_waiter
 from crazyarena.runner.contestant.contract_2022.command_check import FINISHED as FINISHED_VERB
 from crazyarena.runner.contestant.contract_2022.command_check import NONE, Asked
@@ -31,10 +32,12 @@ from crazyarena.runner.judging.result import (
     EpisodeResult,
     percentiles_ms,
 )
+from crazyarena.runner.judging.why import explain
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.rig.watch import Watch
 from crazyarena.runner.timing.scheduler import Scheduler
 from crazyarena.runner.trial.world import World
+from crazyarena.sim_backend.trace import TR_POS, TRACE_SIZE
 
 
 class LatePolicy(StrEnum):
@@ -72,6 +75,7 @@ class ControlLoop:
     watch: asked at every tick; its verdict ends the run.
     on_verdict: called with every verdict and the time (s) at which it is told.
     on_step: called with the time (s) after every tick.
+    thought_before: s of wall time that the contestant has taken earlier in the trial.
     """
 
     def __init__(
@@ -89,7 +93,10 @@ class ControlLoop:
         watch: Watch | None = None,
         on_verdict: Callable[[Verdict, float], None] = lambda verdict, time: None,
         on_step: Callable[[float], None] | None = None,
+        thought_before: float = 0.0,
     ) -> None:
+        self._thought_before = thought_before
+        self._thought = 0.0
         self._index = index
         self._contestant = contestant
         self._world = world
@@ -118,6 +125,9 @@ class ControlLoop:
         self._flight_time = 0.0
         self._completed = False
         self._error: str | None = None
+        self._rows = np.empty((0, TRACE_SIZE))
+        self._highest = -np.inf
+        self._first: str | None = None
 
     def fly(self, obs: list[Any]) -> tuple[EpisodeResult, list[Any]]:
         """Fly until the referee, the contestant, the watchdog or Ctrl-C ends it.
@@ -131,6 +141,11 @@ class ControlLoop:
         except KeyboardInterrupt:
             reason = INTERRUPTED
         return self._result(reason), self._obs
+
+    @property
+    def thought(self) -> float:
+        """s of wall time that the contestant has taken for its answers."""
+        return self._thought
 
     def _loop(self) -> str:
         period = 1.0 / self._rate
@@ -168,7 +183,7 @@ class ControlLoop:
             if pending is None:
                 pending = step
                 self._contestant.ask(Question(step, time, self._obs, reward, done, info, learn))
-                waiter.asked()
+                waiter.asked(step)
                 learn = None
                 answer = waiter.wait(scheduler.deadline(step + 1))
                 if answer is not None:
@@ -217,6 +232,9 @@ class ControlLoop:
         self._violations += verdict.violated
         self._reward += verdict.reward
         self._completed = verdict.completed
+        if len(rows):
+            self._rows = rows
+            self._highest = max(self._highest, float(rows[-1, TR_POS + 2]))
         if self._recorder is not None:
             self._recorder.step(rows, verdict.row)
             for event in verdict.events:
@@ -235,9 +253,25 @@ class ControlLoop:
         self._consecutive = 0
         if self._watch is not None:
             self._watch.answered()
+        if answer.timed_out:
+            return self._timed_out(answer.error or "no answer", time)
         if answer.error is not None or answer.asked is None:
             return self._failed(answer.error or "no command", time)
+        self._thought += answer.seconds
+        budget = self._deadlines.compute.budget
+        for spent, limit, what in (
+            (self._thought, budget.episode, "this episode"),
+            (self._thought_before + self._thought, budget.trial, "this trial"),
+        ):
+            if spent > limit:
+                return self._timed_out(
+                    f"step {answer.step}: it has taken {spent:.0f} s of wall time for its answers "
+                    f"in {what}; {limit:g} s are allowed",
+                    time,
+                )
         asked = answer.asked
+        if self._first is None:
+            self._first = asked.name
         sent = asked.command
         if asked.verb == NONE and self._keep_alive:
             sent = self._last
@@ -256,6 +290,10 @@ class ControlLoop:
             self._sent_at = time
         self._record(time, asked, sent)
         return None
+
+    def _timed_out(self, text: str, time: float) -> str:
+        self._failed(text, time)
+        return CONTROLLER_TIMEOUT
 
     def _is_stopped(self) -> bool:
         stopped = None if self._watch is None else self._watch.verdict()
@@ -295,9 +333,10 @@ class ControlLoop:
         """Tell of the last step, for which no command is asked."""
         question = Question(step, step / self._rate, None, 0.0, True, {}, learn)
         self._contestant.ask(question)
-        answer = self._contestant.wait(30.0)
-        if answer is None:
-            self._error = "interStepLearn did not return within 30 s after the last step"
+        limit = self._deadlines.compute.budget.step
+        answer = self._contestant.wait(limit)
+        if answer is None or answer.timed_out:
+            self._error = f"interStepLearn did not return within {limit:g} s after the last step"
             return CONTROLLER_TIMEOUT
         self._learned += answer.learn_seconds > 0.0
         self._learn_seconds += answer.learn_seconds
@@ -314,6 +353,7 @@ class ControlLoop:
             self._recorder.event(event.time, event.tick, name, detail)
 
     def _failed(self, text: str, time: float) -> str:
+        text = shown(text)  # the contestant's words, wherever they came from
         self._error = text
         if self._recorder is not None:
             lines = text.splitlines() or [""]
@@ -351,4 +391,18 @@ class ControlLoop:
             answer_ms=percentiles_ms(np.array(self._seconds)),
             error=self._error,
             events=self._events,
+            why=self._why(reason),
+        )
+
+    def _why(self, reason: str) -> str:
+        return explain(
+            reason,
+            self._events,
+            self._rows,
+            self._referee.true_gates,
+            self._referee.level,
+            highest=self._highest,
+            passed=self._referee.gates_passed,
+            first_command=self._first,
+            error=self._error,
         )

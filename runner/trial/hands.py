@@ -16,6 +16,7 @@ from crazyarena.sim_backend.firmware.supervisor import INFO_CRASHED, INFO_LOCKED
 
 TICK = 0.02  # s, between looks at a condition
 DOWN = 0.08  # m: what is lower stands on the ground
+STILL = 0.1  # m/s
 _DESCENT = 0.3  # m/s
 
 
@@ -121,7 +122,7 @@ class Hands:
         return float(self._estimate().state.position[2])
 
     def _still(self) -> bool:
-        return float(np.linalg.norm(self._estimate().state.velocity)) < 0.1
+        return float(np.linalg.norm(self._estimate().state.velocity)) < STILL
 
     def _supervisor(self) -> int:
         return self._rig.backend.telemetry(self._rig.vehicle).supervisor or 0

@@ -5,15 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from crazyarena.crazyswarm_compat import commands as cs
+from crazyarena.errors import InputError
 from crazyarena.levels.schema import Level
 from crazyarena.mocap.estimator import Freshness
 from crazyarena.runner.rig.rig import Rig
-from crazyarena.runner.trial.hands import DOWN, TICK, Hands
+from crazyarena.runner.trial.hands import DOWN, STILL, TICK, Hands
 from crazyarena.runner.trial.phase import Aborted, Array, Grip, OnPhase, Phase, Timeouts
+from crazyarena.runner.trial.tracked_world import roll_pitch_yaw
+from crazyarena.safety.fence import Fence
 from crazyarena.sim_backend.firmware.supervisor import INFO_ARMED, INFO_AUTO_ARM, INFO_FLYING
 
 _PEAK_SPEED = 1.0  # m/s on the way home
 _PEAK_OVER_MEAN = 35.0 / 16.0  # of the firmware's rest-to-rest polynomial
+_BRAKING = 3.0  # m/s2, after the run
+_ASIDE = 0.25  # m from the fence, from where it flies home
+_DRAW_BACK = 0.4  # m/s on the way there
+_SETTLED = 0.5  # s at rest before it goes on
 _ABOVE_TRACK = 0.35  # m above the highest gate, on the way home
 
 
@@ -73,13 +80,50 @@ class Homecoming(Hands):
             self._send(cs.Stop())
             return
         assert self._home is not None
-        place = self._estimate().state.position.copy()
+        place, yaw = self._stop_moving()
         above = self._safe_height()
-        yaw = 0.0
         self._send(cs.NotifySetpointsStop())
         self._go(np.array([place[0], place[1], max(above, place[2])]), yaw)
         self._go(np.array([self._home[0], self._home[1], max(above, place[2])]), yaw)
         self._land_here()
+
+    def _stop_moving(self) -> tuple[Array, float]:
+        """Brake, and draw back from the fence; the place (3,) m and heading where it then stays.
+
+        A plan that begins on the move swings out by a fifth of its duration times the speed: too
+        much for a run that ended close to the fence.
+        """
+        state = self._estimate().state
+        begin, velocity = state.position.copy(), state.velocity.copy()
+        yaw = roll_pitch_yaw(state.quaternion)[2]
+        speed = float(np.linalg.norm(velocity))
+        braking = speed / _BRAKING
+        rest = begin + 0.5 * braking * velocity
+        rest[2] = max(rest[2], begin[2], DOWN + 0.1)
+        x, y, z = rest.tolist()
+        try:
+            inside = np.array(Fence.from_level(self._level).nearest((x, y, z), _ASIDE))
+        except InputError:
+            inside = rest
+        away = inside - rest
+        if speed < STILL:
+            return begin, yaw
+        drawing = float(np.linalg.norm(away)) / _DRAW_BACK
+        clock = self._rig.clock
+        start, zero = clock.now(), np.zeros(3)
+        while (now := clock.now() - start) < braking + drawing + _SETTLED:
+            self._must_fly(Phase.RETURN)
+            if now < braking:
+                left = 1.0 - now / braking
+                place = begin + velocity * now * (0.5 + 0.5 * left)
+                setpoint = cs.FullState(place, velocity * left, -velocity / braking, yaw, zero)
+            else:
+                share = min(1.0, (now - braking) / drawing) if drawing > 0.0 else 1.0
+                pace = away / drawing if share < 1.0 else zero
+                setpoint = cs.FullState(rest + share * away, pace, zero, yaw, zero)
+            self._send(setpoint)
+            clock.sleep_until(clock.now() + TICK)
+        return inside, yaw
 
     def _safe_height(self) -> float:
         tops = [gate.centre[2] + 0.25 for gate in self._level.track.gates]

@@ -42,7 +42,7 @@ class ZenohOutlet:
     """Publishes JSON under ``<prefix>/<key>``; raises InputError for bad endpoints."""
 
     def __init__(self, prefix: str = DEFAULT_PREFIX, session: Any = None, **endpoints: Any) -> None:
-        from crazyarena.mocap.zenoh_link import open_session
+        from crazyarena.mocap.zenoh_session import open_session
 
         self._owns_session = session is None
         self._session = open_session(**endpoints) if session is None else session

@@ -29,6 +29,7 @@ from crazyarena.runner.trial.phase import (
     Timeouts,
 )
 from crazyarena.runner.trial.tracked_world import TrackedWorld, heading_like, roll_pitch_yaw
+from crazyarena.safety.placement import allowed
 from crazyarena.sim_backend.arena_world import track_truth
 from crazyarena.sim_backend.firmware.supervisor import (
     INFO_ARMED,
@@ -240,8 +241,7 @@ class Crew(Homecoming):
     def _measure(self, nominal: dict[str, Pose]) -> dict[str, Pose]:
         rig = self._rig
         config = SurveyConfig(
-            position_tolerance=_track_tolerance(self._level)[0],
-            yaw_tolerance=_track_tolerance(self._level)[1],
+            allowed=allowed(self._level),
             full_turn=False,
         )
         frames: list[PoseFrame] = []
@@ -319,15 +319,3 @@ def _put(row: Array, pose: Pose) -> None:
     """Overwrite a nominal row with a measured pose; what has no front keeps its heading."""
     row[:3] = pose.position
     row[3:6] = (0.0, 0.0, heading_like(row[5], pose.quaternion))
-
-
-def _track_tolerance(level: Level) -> tuple[float, float]:
-    """How far bodies of the track may be from nominal: m, rad.
-
-    As far as the level says that they move, and the width of a measuring tape on top.
-    """
-    spread = level.randomization.gates_and_obstacles
-    reach = 0.0
-    if spread is not None:
-        reach = max(abs(bound) for bound in (*spread.gates, *spread.obstacles))
-    return math.hypot(reach, reach) + 0.05, reach + 0.1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import contextlib
 import math
 from collections.abc import Callable, Sequence
@@ -17,7 +18,14 @@ from crazyarena.runner.rig.cameras import open_named_source
 from crazyarena.runner.rig.stops import StopOptions, open_stops
 from crazyarena.safety.estop import EmergencyStop, Rehearsal
 from crazyarena.safety.fence import Fence
-from crazyarena.safety.preflight import Preflight, VehicleFacts, tilt, tipped_body
+from crazyarena.safety.frame_rate import FrameRate
+from crazyarena.safety.preflight import (
+    Preflight,
+    VehicleFacts,
+    nose_between,
+    tilt,
+    tipped_body,
+)
 from crazyarena.safety.rehearsal import Rehearsals
 from crazyarena.types import Pose, PoseFrame
 
@@ -67,10 +75,12 @@ class Bodies:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._seen: dict[str, tuple[float, Pose]] = {}
+        self.frames = FrameRate()
 
     def note(self, frame: PoseFrame, _: object) -> None:
         """For the pipeline."""
         now = self._clock.now()
+        self.frames.note(frame.timestamp)
         self._seen.update({name: (now, pose) for name, pose in frame.bodies.items()})
 
     def now(self) -> dict[str, Pose]:
@@ -262,13 +272,19 @@ class _Gathering:
         ident = self._ids[name]
         self._in_hand.add(ident)
         found: list[str | None] = []
+        turns: list[complex] = []
         needed = round(_TIP_TIME / _PERIOD)
 
         def tipped() -> bool:
             state = self._backend.telemetry(ident).state
-            body = None if state is None else tipped_body(self._bodies.now(), state.quaternion)
+            poses = self._bodies.now()
+            body = None if state is None else tipped_body(poses, state.quaternion)
             found.append(body)
-            return body is not None and found[-needed:] == [body] * needed
+            if body is None or state is None:
+                turns.clear()
+                return False
+            turns.append(cmath.rect(1.0, nose_between(state.quaternion, poses[body].quaternion)))
+            return found[-needed:] == [body] * needed
 
         def upright() -> bool:
             state = self._backend.telemetry(ident).state
@@ -280,7 +296,11 @@ class _Gathering:
         self._say(f"Tip {name} by hand, by more than 15 degrees, and hold it.")
         if self._until(tipped, _TIP_PATIENCE):
             fact.tipped = found[-1]
-            self._say(f"Body {fact.tipped} was tipped. Put {name} back where it stood.")
+            fact.turned = cmath.phase(sum(turns[-needed:]))
+            self._say(
+                f"Body {fact.tipped} was tipped, its nose {math.degrees(fact.turned):+.0f} deg "
+                f"from the vehicle's. Put {name} back where it stood."
+            )
             self._until(upright, _TIP_PATIENCE)
             self._clock.sleep_until(self._clock.now() + _DOWN_TIME)
         else:
@@ -316,7 +336,9 @@ class _Gathering:
             if self._pipeline is not None:
                 fact.seen = self._pipeline.estimate(name)
         remember(p, self._rehearsals, self._vehicles)
-        p.bodies = sorted(self._bodies.now())
+        p.poses = self._bodies.now()
+        p.bodies = sorted(p.poses)
+        p.camera_rate = self._bodies.frames.rate
         with contextlib.suppress(InputError):  # a contradictory fence has a line of its own
             p.known = self._bodies.known(Fence.from_level(self._level))
         p.gates = self._bodies.gates()
@@ -335,8 +357,8 @@ def remember(p: Preflight, rehearsals: Rehearsals, uris: dict[str, str]) -> None
         p.estop.tested(age)
     for fact in p.vehicles:
         if fact.tipped is not None:
-            rehearsals.note_body(uris[fact.name], fact.tipped)
+            rehearsals.note_body(uris[fact.name], fact.tipped, fact.turned)
             continue
         body, age = rehearsals.body(uris[fact.name])
         if age <= p.tolerances.body_age:
-            fact.tipped = body
+            fact.tipped, fact.turned = body, rehearsals.turned(uris[fact.name])

@@ -36,12 +36,14 @@ class Staging:
     keep_alive: setpoints must be repeated while the contestant is silent.
     logs: the vehicle tells of itself, which is recorded.
     fresh: every episode begins with an observation of its own, not with the last one's.
+    renews: every episode has a new vehicle, whatever became of the last.
     in_force: what was granted of real-time privileges.
     """
 
     watch: Watch | None = None
     keep_alive = False
     fresh = False
+    renews = False
     logs = False
 
     def __init__(self, injection: Injection | None = None) -> None:

@@ -22,6 +22,7 @@ from crazyarena.errors import InputError
 from crazyarena.levels import dump_level
 from crazyarena.levels.draw import Draw, LevelRandom
 from crazyarena.levels.schema import Level
+from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.judging.referee import Referee, Verdict, observation
@@ -38,11 +39,14 @@ from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.records.scene import scene_update
 from crazyarena.runner.trial.control_loop import ControlLoop, Deadlines
 from crazyarena.runner.trial.options import FlightOptions
-from crazyarena.runner.trial.phase import Aborted, MeasuredTrack
+from crazyarena.runner.trial.phase import Aborted, MeasuredTrack, Phase
 from crazyarena.runner.trial.staging import Staging
 from crazyarena.runner.trial.world import World
 
 _ENDS_TRIAL = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT, INTERRUPTED, SAFETY, ABORTED)
+# Of these, where the vehicle is new in every episode; a controller that failed is made anew, too.
+_ENDS_RENEWED = (INTERRUPTED, ABORTED)
+_FAILED = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT)
 
 
 def require_firmware(level: Level) -> None:
@@ -101,7 +105,9 @@ class Trial:
         self._on_step = on_step
         self._on_episode = on_episode
         self._wall = wall if wall is not None else WallClock()
-        self._made = False
+        self._made = self._flown = False
+        self._last_endings = _ENDS_RENEWED if self._staging.renews else _ENDS_TRIAL
+        self._thought = 0.0  # s of wall time, by the contestant
 
     def run(self) -> TrialResult:
         """Fly; raises InputError when the controller cannot be constructed."""
@@ -114,11 +120,15 @@ class Trial:
             for index in range(self._episodes):
                 result, obs = self._episode(index, random.reset(), referee, obs, interrupt)
                 results.append(result)
-                if interrupt.asked or result.termination in _ENDS_TRIAL:
+                if interrupt.asked or result.termination in self._last_endings:
                     break
                 if index + 1 < self._episodes:
+                    if result.termination in _FAILED:
+                        self._made = False
+                        continue
+                    flown = result.termination
                     self._hook("interEpisodeReset", result, interrupt)
-                    if result.error is not None:
+                    if result.termination != flown:
                         break
         return TrialResult(results, self._episodes)
 
@@ -140,9 +150,7 @@ class Trial:
             if staging.fresh or not self._made:
                 obs = observation(start)
             if not self._made:
-                with staging.else_abort():
-                    self._contestant.make(obs, self._level, start)
-                self._made = True
+                self._make(obs, start)
         except Aborted as error:
             return self._aborted(index, error), obs
         with staging.else_abort():
@@ -165,6 +173,17 @@ class Trial:
         if self._on_episode is not None:
             self._on_episode(result, recorder, track)
         return result, obs
+
+    def _make(self, obs: list[Any], start: np.ndarray) -> None:
+        with self._staging.else_abort():
+            try:
+                self._contestant.make(obs, self._level, start)
+            except InputError as error:
+                if not self._flown:
+                    raise
+                # It could be made once: what was flown since is not thrown away.
+                raise Aborted(Phase.SURVEY, str(error)) from error
+        self._made = self._flown = True
 
     def _run(
         self,
@@ -193,12 +212,14 @@ class Trial:
             watch=staging.watch,
             on_verdict=judged,
             on_step=None if on_step is None else lambda time: on_step(index, time),
+            thought_before=self._thought,
         )
         try:
             result, obs = loop.fly(obs)
         except BaseException:
             staging.failed()
             raise
+        self._thought += loop.thought
         staging.end(result, recorder)
         return result, obs
 
@@ -222,7 +243,7 @@ class Trial:
             over_period=0,
             late_ms={},
             skipped_steps=0,
-            error=str(error),
+            error=shown(str(error)),
             phases=self._staging.durations,
         )
 
@@ -233,8 +254,9 @@ class Trial:
             interrupt.asked = True
             return 0.0
         if error is not None:
-            result.error = error
+            result.error = shown(error)
             result.termination = CONTROLLER_ERROR
+        self._thought += seconds
         return seconds
 
     def _recorder(

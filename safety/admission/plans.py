@@ -24,6 +24,7 @@ _SAMPLES, _SAMPLE_STEP = 24, 0.1
 _STRETCH, _STRETCHES = 1.15, 24  # up to 25 times as long
 _BISECTIONS = 8
 _LEAST_WAY = 0.02  # m, of a plan that was cut short: less is none
+_SWING = 0.1  # s of the speed at the beginning by which a vehicle may swing out further
 _SLACK = 1.02  # what sampling may overlook
 
 
@@ -151,8 +152,10 @@ def _excess(room: Room, plan: Plan, origin: Motion) -> float:
         if np.linalg.norm(rows, axis=1).max() > _SLACK * max(limit, now):
             return math.inf
     fence = room.fence
-    x, y, z = origin.position
-    least = min(0.0, fence.room(x, y, max(z, fence.floor)))
+    # No nearer to the fence than where it begins and ends, or the soft limit; one who is fast has
+    # the tilt to go with it, of which the plan knows nothing.
+    begin, end = (fence.room(x, y, max(z, fence.floor)) for x, y, z in (origin.position, plan.end))
+    least = min(fence.soft_margin + _SWING * begun[0], begin, max(end, 0.0))
     if any(fence.room(x, y, max(z, fence.floor)) < least - 1e-6 for x, y, z in places.tolist()):
         return math.inf
     if not room.link_loss.on:

@@ -15,6 +15,7 @@ from crazyarena.sim_backend.crazyradio.air import Station
 from crazyarena.sim_backend.crazyradio.air_time import Rate
 from crazyarena.sim_backend.crazyradio.receiver import Receiver
 from crazyarena.sim_backend.crtp.faults import ChannelCounters, Faults
+from crazyarena.sim_backend.crtp.packets import EVERYBODY
 
 _INBOX = 15  # frames that the radio chip holds for the flight controller
 _BOOT = 2.0  # s, from power until the vehicle answers
@@ -27,31 +28,31 @@ class Delay:
     def __init__(self, faults: Faults, rng: random.Random) -> None:
         self._faults = faults
         self._rng = rng
-        self._waiting: deque[tuple[float, bytes]] = deque()
+        self._waiting: deque[tuple[float, bytes, bool]] = deque()
         self.counters = ChannelCounters()
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def send(self, packet: bytes, now: float) -> None:
-        """Hand in a packet."""
+    def send(self, packet: bytes, now: float, everybody: bool = False) -> None:
+        """Hand in a packet, and whether it is for everybody."""
         self.counters.carried += 1
         jitter = self._faults.jitter
         delay = self._faults.latency + (self._rng.uniform(-jitter, jitter) if jitter else 0.0)
         arrival = now + delay
         if self._waiting:
             arrival = max(arrival, self._waiting[-1][0])
-        self._waiting.append((arrival, packet))
+        self._waiting.append((arrival, packet, everybody))
 
     def due(self) -> float:
         """When the next packet arrives, s; inf if none is under way."""
         return self._waiting[0][0] if self._waiting else math.inf
 
-    def take(self, now: float) -> list[bytes]:
-        """Packets that have arrived."""
+    def take(self, now: float) -> list[tuple[bytes, bool]]:
+        """Packets that have arrived, and whether they are for everybody."""
         arrived = []
         while self._waiting and self._waiting[0][0] <= now:
-            arrived.append(self._waiting.popleft()[1])
+            arrived.append(self._waiting.popleft()[1:])
         return arrived
 
     def clear(self) -> None:
@@ -104,13 +105,13 @@ class RadioLink:
 
     # From the air, in whatever thread the dongle has
 
-    def _deliver(self, packet: bytes) -> bool:
+    def _deliver(self, packet: bytes, everybody: bool) -> bool:
         with self._lock:
             if not self._powered:
                 return True  # the radio chip lives on without the flight controller
             if len(self.uplink) >= _INBOX and self.uplink.due() <= self._clock.now():
                 return False
-            self.uplink.send(packet, self._clock.now())
+            self.uplink.send(packet, self._clock.now(), everybody)
         self._ring()
         return True
 
@@ -148,7 +149,10 @@ class RadioLink:
         with contextlib.suppress(OSError):
             self._ear.recv(4096)
         with self._lock:
-            return [(packet, None) for packet in self.uplink.take(now)]
+            return [
+                (packet, EVERYBODY if everybody else None)
+                for packet, everybody in self.uplink.take(now)
+            ]
 
     def boots(self) -> bool:
         """Whether somebody has switched the flight controller off or on over the radio since the
@@ -163,7 +167,7 @@ class RadioLink:
 
     def flush(self, now: float) -> None:
         """Hand to the radio chip what has come through."""
-        for packet in self.downlink.take(now):
+        for packet, _ in self.downlink.take(now):
             if not self.receiver.say(packet):
                 self.downlink.counters.lost += 1
 

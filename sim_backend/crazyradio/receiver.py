@@ -42,15 +42,15 @@ class Receiver:
 
     Parameters
     ----------
-    deliver: takes a packet to the flight controller; False if it has no room, which leaves the
-        frame without acknowledgement.
+    deliver: takes a packet to the flight controller, and whether it was for everybody; False if
+        there is no room, which leaves the frame without acknowledgement.
     power: takes a request to the power management (first byte of ``ff fe ...``).
     rssi: strength of what is heard, as -dBm.
     """
 
     def __init__(
         self,
-        deliver: Callable[[bytes], bool],
+        deliver: Callable[[bytes, bool], bool],
         power: Callable[[int], None] | None = None,
         rssi: int = 45,
     ) -> None:
@@ -58,7 +58,7 @@ class Receiver:
         self.rssi = rssi
         self._deliver = deliver
         self._power = power
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # who takes a packet may answer at once
         self._waiting: deque[bytes] = deque()
         self.reset()
 
@@ -94,7 +94,7 @@ class Receiver:
         """A frame with the address for everybody; never acknowledged."""
         with self._lock:
             self.counters.broadcast += 1
-            if not _is_null(frame) and self._deliver(frame):
+            if not _is_null(frame) and self._deliver(frame, True):
                 self.counters.delivered += 1
 
     def hear(self, frame: bytes) -> bytes | None:
@@ -115,7 +115,7 @@ class Receiver:
                     return self._next()
             fresh = not self._safe or bool(frame[0] & _UP) != bool(self._up)
             if fresh and not _is_null(frame):
-                if not self._deliver(frame):
+                if not self._deliver(frame, False):
                     self.counters.refused += 1
                     return None
                 self.counters.delivered += 1

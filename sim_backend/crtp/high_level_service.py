@@ -12,6 +12,7 @@ from crazyarena.sim_backend.firmware import high_level as hl
 
 _TRAJECTORY_IN_MEMORY = 1
 _ANSWER_BYTES = 4
+_TAKEOFF_2 = 7
 
 
 class HighLevelService:
@@ -35,6 +36,9 @@ class HighLevelService:
             return []
         layout, command = _COMMANDS.get(data[0], (None, None))
         status = ENOEXEC
+        if data[0] == _TAKEOFF_2 and layout is not None and len(data) == layout.size:
+            # The firmware takes one whose last byte is missing, and reads what lies there.
+            data += b"\0"
         if layout is not None and command is not None and len(data) == 1 + layout.size:
             values = layout.unpack_from(data, 1)
             if all(math.isfinite(value) for value in values):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from crazyarena.clock import WallClock
+from crazyarena.crazyswarm_compat.config import load_crazyflies
 from crazyarena.errors import InputError
 from crazyarena.levels.draw import LevelRandom
 from crazyarena.levels.load import load_level
@@ -25,6 +27,7 @@ from crazyarena.sim_backend.crtp.link import BASE_PORT
 from crazyarena.sim_backend.crtp.orders import obey
 from crazyarena.sim_backend.crtp.server import VirtualServer
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
+from crazyarena.sim_backend.crtp.toc import Table
 from crazyarena.sim_backend.physics.scene import build_scene
 from crazyarena.sim_backend.vehicles import VehicleChoice, resolve, vehicle_rows
 
@@ -41,6 +44,8 @@ class Options:
     publishes the poses over zenoh at ``mocap_rate`` Hz on ``mocap_endpoint``, as ideal cameras see
     them or, with ``camera_noise``, as real ones do. ``radio`` puts the vehicles on the air instead
     of UDP ports, on these channels, for programs whose dongles look for it on ``radio_port``.
+    ``table`` is whose parameters and log variables they have. ``fleet`` is a vehicle list of
+    Crazyswarm 1 or 2: how many, their numbers and where they stand.
     """
 
     count: int = 1
@@ -63,6 +68,8 @@ class Options:
     rate: str = "2M"
     dongles: int = 1
     radio_port: int = DEFAULT_PORT
+    table: str = Table.CF21
+    fleet: str | None = None
 
 
 def starts(count: int, first: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
@@ -106,6 +113,15 @@ class Host:
         return obey(self.server, self.air, line)
 
 
+def _say_behind(seconds: float) -> None:
+    print(
+        f"virtual-cf: {seconds:.1f} s behind real time: this computer is too busy; vehicles and "
+        "cameras look late and jerky to whoever flies them (fewer vehicles, or other programs?)",
+        file=sys.stderr,
+        flush=True,
+    )
+
+
 def build(options: Options) -> Host:
     """Make everything, compile the kernels, listen; the server is not started yet.
 
@@ -135,15 +151,29 @@ def build(options: Options) -> Host:
         scene = build_scene(draw.gates.tolist(), draw.obstacles.tolist())
         first = (float(draw.start[0]), float(draw.start[2]))
         yaw = float(draw.start[8])
+    if options.table not in set(Table):
+        raise InputError(f"--table: found {options.table!r}; choose {', '.join(Table)}")
+    places, ids, uris = starts(options.count, first), None, None
+    if options.fleet is not None:
+        if options.level is not None or options.count != 1:
+            raise InputError(
+                "--fleet: says how many vehicles there are, and where; leave out "
+                "--count and --level"
+            )
+        listed = load_crazyflies(options.fleet).vehicles
+        places = np.array([(*vehicle.initial_position[:2], 0.0) for vehicle in listed])
+        ids = [vehicle.id for vehicle in listed]
+        uris = [vehicle.uri for vehicle in listed]
     fleet = ArenaFleet(
-        starts(options.count, first),
-        np.full(options.count, yaw),
+        places,
+        np.full(len(places), yaw),
+        ids=ids,
         vehicles=vehicle_rows(model),
         scene=scene,
     )
     # The first tick compiles the kernels, which must not happen in flight.
     fleet.advance(1)
-    swarm = VirtualSwarm(fleet, feed_rate=options.feed_poses)
+    swarm = VirtualSwarm(fleet, feed_rate=options.feed_poses, table=Table(options.table))
     for vehicle in swarm.vehicles:
         vehicle.warm_up()
 
@@ -162,7 +192,7 @@ def build(options: Options) -> Host:
     gateway, links = None, None
     try:
         if plan is not None:
-            links, air = put_on_air(fleet.ids, clock, plan, faults, options.seed)
+            links, air = put_on_air(fleet.ids, clock, plan, faults, options.seed, uris)
             gateway = Gateway(air, clock, options.host, options.radio_port)
         server = VirtualServer(
             swarm,
@@ -174,6 +204,7 @@ def build(options: Options) -> Host:
             cameras=cameras,
             publisher=publisher,
             seed=options.seed,
+            on_behind=_say_behind,
         )
     except InputError:
         if publisher is not None:

@@ -18,7 +18,7 @@ from crazyarena.sim_backend.crtp.packets import (
     echo,
     reply,
 )
-from crazyarena.sim_backend.crtp.toc import LOG_TYPES, CType, Toc, log_entries
+from crazyarena.sim_backend.crtp.toc import LOG_TYPES, CType, Table, Toc, log_entries
 
 MAX_BLOCKS = 16
 MAX_VARIABLES = 128  # of all blocks together
@@ -44,10 +44,11 @@ class LogService:
     Parameters
     ----------
     read: value of a log variable by its id.
+    table: whose variables.
     """
 
-    def __init__(self, read: Callable[[int], float]) -> None:
-        self.entries = log_entries()
+    def __init__(self, read: Callable[[int], float], table: Table = Table.CF21) -> None:
+        self.entries = log_entries(table)
         self._read = read
         self._toc = Toc(
             Port.LOG, [e.item for e in self.entries], bytes((MAX_BLOCKS, MAX_VARIABLES))

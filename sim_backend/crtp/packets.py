@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 MAX_PAYLOAD = 30
 MAX_DATAGRAM = 1 + MAX_PAYLOAD
 NULL_PACKET = b"\xff"
+EVERYBODY = object()  # what a link names as the client of a packet that went to all vehicles
 
 # Status bytes are the errno values of the firmware's C library.
 OK = 0

@@ -14,7 +14,7 @@ from crazyarena.sim_backend.crtp.packets import (
     Port,
     echo,
 )
-from crazyarena.sim_backend.crtp.toc import ParamEntry, Toc, param_entries
+from crazyarena.sim_backend.crtp.toc import ParamEntry, Table, Toc, param_entries
 
 _TOC, _READ, _WRITE, _MISC = range(4)
 (
@@ -54,10 +54,16 @@ class ParamService:
     ----------
     live: the simulated firmware. A parameter that it does not have only keeps its value here.
     stored: values by name kept over reboots; written by store and clear.
+    table: whose parameters.
     """
 
-    def __init__(self, live: LiveParams, stored: dict[str, float] | None = None) -> None:
-        self.entries = param_entries()
+    def __init__(
+        self,
+        live: LiveParams,
+        stored: dict[str, float] | None = None,
+        table: Table = Table.CF21,
+    ) -> None:
+        self.entries = param_entries(table)
         self._ids = {entry.name: i for i, entry in enumerate(self.entries)}
         self._live = live
         self.stored = {} if stored is None else stored

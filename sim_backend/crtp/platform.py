@@ -9,7 +9,6 @@ from crazyarena.sim_backend.crtp.supervisor import Guard
 from crazyarena.sim_backend.crtp.toc import protocol_version
 
 FIRMWARE_VERSION = "2026.08"
-DEVICE_TYPE = "CF21"
 
 _COMMAND, _VERSION = 0, 1
 _ARM, _RECOVER = 1, 2
@@ -19,7 +18,7 @@ _PROTOCOL, _FIRMWARE, _DEVICE = 0, 1, 2
 class PlatformService:
     """Answers on port 13; the application channel is empty."""
 
-    def __init__(self, guard: Guard, device: str = DEVICE_TYPE) -> None:
+    def __init__(self, guard: Guard, device: str) -> None:
         self._guard = guard
         self._versions = {
             _PROTOCOL: struct.pack("<I", protocol_version()),

@@ -5,20 +5,23 @@ from __future__ import annotations
 import math
 import selectors
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
-from crazyarena.mocap.zenoh_link import ZenohPublisher
+from crazyarena.mocap.serve import Outlet
 from crazyarena.sim_backend.crtp.faults import Faults
 from crazyarena.sim_backend.crtp.film import PushedCameras
 from crazyarena.sim_backend.crtp.link import BASE_PORT, UdpLink
+from crazyarena.sim_backend.crtp.packets import EVERYBODY
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
 
 _WAKE_MS = 4  # between wake-ups when nothing arrives
 _STALL_MS = 50  # behind wall time by more than this is worth counting
+_BEHIND_MS = 500  # behind by more than this, whoever flies should hear of it,
+_BEHIND_PAUSE = 5.0  # s, but not all the time
 _SLICE_MS = 100  # caught up at a time, between looks at the sockets
 _PER_MS = 10  # vehicles for each millisecond that a packet may be taken for earlier than it is
 
@@ -88,6 +91,8 @@ class VirtualServer:
     cameras: sees the true poses; what it delivers is given to ``publisher``.
     publisher: sends the frames of the cameras to whoever listens.
     seed: of the faults' randomness.
+    on_behind: told by how many seconds the simulation has fallen behind wall time, at most every
+        five seconds, when that is more than half a second.
 
     Raises
     ------
@@ -104,8 +109,9 @@ class VirtualServer:
         faults: Faults | None = None,
         clock: Clock | None = None,
         cameras: PushedCameras | None = None,
-        publisher: ZenohPublisher | None = None,
+        publisher: Outlet | None = None,
         seed: int = 0,
+        on_behind: Callable[[float], None] | None = None,
     ) -> None:
         self.swarm = swarm
         self.pace = Pace()
@@ -113,6 +119,8 @@ class VirtualServer:
         self._clock = clock or WallClock()
         self._cameras = cameras
         self._publisher = publisher
+        self._on_behind = on_behind
+        self._behind_told = -math.inf
         self._origin: float | None = None
         self._grain = min(_WAKE_MS, 1 + len(swarm.vehicles) // _PER_MS)
         self._first_tick = swarm.fleet.tick
@@ -234,6 +242,10 @@ class VirtualServer:
         self.pace.worst = max(self.pace.worst, behind)
         if behind > _STALL_MS:
             self.pace.stalls += 1
+        if behind > _BEHIND_MS and now - self._behind_told > _BEHIND_PAUSE:
+            self._behind_told = now
+            if self._on_behind is not None:
+                self._on_behind(1e-3 * behind)
         # A packet counts from the tick that is due when it arrives, not from one long past: many
         # vehicles take longer steps, which cost less.
         if behind >= self._grain:
@@ -269,6 +281,7 @@ class VirtualServer:
             if link.boots():
                 vehicle.reboot()
             for datagram, sender in link.receive(now):
+                vehicle.counters.broadcast += sender is EVERYBODY
                 for answer in vehicle.receive(datagram):
                     link.send(answer, now, sender)
             link.flush(now)

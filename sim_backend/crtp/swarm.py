@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 
 from crazyarena.sim_backend.arena import ArenaFleet
+from crazyarena.sim_backend.crtp.toc import Table
 from crazyarena.sim_backend.crtp.vehicle import Hardware, VirtualCrazyflie
 from crazyarena.types import Pose
 
@@ -25,6 +26,7 @@ class VirtualSwarm:
     feed_rate: Hz at which every vehicle is given its true pose as if a ground station had
         measured and sent it; 0 leaves that to the real ground station.
     stored: persistent parameters by vehicle index.
+    table: whose parameters and log variables they have.
     """
 
     def __init__(
@@ -33,11 +35,12 @@ class VirtualSwarm:
         hardware: Hardware = Hardware.FULL,
         feed_rate: float = 0.0,
         stored: Mapping[int, dict[str, float]] | None = None,
+        table: Table = Table.CF21,
     ) -> None:
         self.fleet = fleet
         stored = stored or {}
         self.vehicles = tuple(
-            VirtualCrazyflie(fleet, index, hardware, stored.get(index))
+            VirtualCrazyflie(fleet, index, hardware, stored.get(index), table)
             for index in range(len(fleet))
         )
         self._feed_period = 1000.0 / feed_rate if feed_rate > 0.0 else None

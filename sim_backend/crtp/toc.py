@@ -1,6 +1,7 @@
 """The tables of contents of the parameters and log variables, and how their types travel.
 
-``toc.json`` lists what the 2026.08 firmware has, in the order of its ids.
+``toc.json`` lists what a simulation build of the 2026.08 firmware has, in the order of its ids;
+``hardware.json`` what a build for hardware has beyond that, leaves out, and boots with.
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ import math
 import struct
 import zlib
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cache
 from importlib import resources
+from typing import Any
 
 from crazyarena.sim_backend.crtp.packets import Packet, reply
 
@@ -131,23 +134,72 @@ class Toc:
         return []
 
 
+class Table(StrEnum):
+    """Whose table of contents: that of a Crazyflie 2.1 or 2.1+, of a 2.1 Brushless, or of the
+    reduced simulation build whose packets were recorded."""
+
+    CF21 = "cf21"
+    CF21_BRUSHLESS = "cf21b"
+    RECORDED = "recorded"
+
+    @property
+    def device(self) -> str:
+        """Device type, as the vehicle tells it."""
+        return _DEVICES[self]
+
+
+_DEVICES = {
+    Table.CF21: "Crazyflie 2.1",
+    Table.CF21_BRUSHLESS: "Crazyflie 2.1 Brushless",
+    Table.RECORDED: "CF21",
+}
+
+
 @cache
-def _table() -> dict:
-    text = resources.files(__package__).joinpath("toc.json").read_text("utf-8")
-    return json.loads(text)
+def _file(name: str) -> dict[str, Any]:
+    text = resources.files(__package__).joinpath(name).read_text("utf-8")
+    document: dict[str, Any] = json.loads(text)
+    return document
 
 
 def protocol_version() -> int:
     """CRTP protocol version of the firmware."""
-    return int(_table()["protocol"])
+    return int(_file("toc.json")["protocol"])
+
+
+def _rows(table: Table, kind: str) -> list[list[Any]]:
+    rows: list[list[Any]] = _file("toc.json")[kind]
+    if table is Table.RECORDED:
+        return rows
+    hardware = _file("hardware.json")
+    missing = set(hardware["leave_out"][kind])
+    return _grouped([row for row in rows if row[0] not in missing] + hardware[kind])
+
+
+def _grouped(rows: list[list[Any]]) -> list[list[Any]]:
+    """Entries of one group side by side, as a client lists them."""
+    places: dict[str, int] = {}
+    for row in rows:
+        places.setdefault(row[0].partition(".")[0], len(places))
+    return sorted(rows, key=lambda row: places[row[0].partition(".")[0]])
+
+
+def _boot(table: Table) -> dict[str, float]:
+    if table is Table.RECORDED:
+        return {}
+    hardware = _file("hardware.json")
+    more = hardware["brushless"]["boot"] if table is Table.CF21_BRUSHLESS else {}
+    return {**hardware["boot"], **more}
 
 
 @cache
-def param_entries() -> tuple[ParamEntry, ...]:
+def param_entries(table: Table = Table.CF21) -> tuple[ParamEntry, ...]:
     """Every parameter, its id being its position."""
+    changed = _boot(table)
     entries = []
-    for name, ctype, attributes, boot, *default in _table()["params"]:
+    for name, ctype, attributes, boot, *default in _rows(table, "params"):
         flags = attributes.split()
+        value = float(boot) if isinstance(boot, str) else boot
         entries.append(
             ParamEntry(
                 name,
@@ -155,14 +207,14 @@ def param_entries() -> tuple[ParamEntry, ...]:
                 "ro" in flags,
                 "persistent" in flags,
                 "core" in flags,
-                boot,
-                default[0] if default else boot,
+                changed.get(name, value),
+                default[0] if default else changed.get(name, value),
             )
         )
     return tuple(entries)
 
 
 @cache
-def log_entries() -> tuple[LogEntry, ...]:
+def log_entries(table: Table = Table.CF21) -> tuple[LogEntry, ...]:
     """Every log variable, its id being its position."""
-    return tuple(LogEntry(name, TYPES[ctype]) for name, ctype in _table()["logs"])
+    return tuple(LogEntry(name, TYPES[ctype]) for name, ctype in _rows(table, "logs"))

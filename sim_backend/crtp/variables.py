@@ -20,10 +20,8 @@ from crazyarena.sim_backend.physics.arena_plant import AB_VOLTS
 Getter = Callable[[], float]
 
 _AXES = ("x", "y", "z")
-_LOW_VOLTS = 3.2
 _MILLI_RADIANS = 1000.0 * math.pi / 180.0
 _G = 9810.0  # mm/s2
-_ON_BATTERY, _LOW_POWER = 0, 3
 
 
 def _cell(row, index: int, scale: float = 1.0, offset: float = 0.0) -> Getter:
@@ -101,5 +99,4 @@ def getters(rows: VehicleRows) -> dict[str, Getter]:
 
     table["pm.vbat"] = _cell(body, AB_VOLTS)
     table["pm.vbatMV"] = _cell(body, AB_VOLTS, 1000.0)
-    table["pm.state"] = lambda: _LOW_POWER if body[AB_VOLTS] < _LOW_VOLTS else _ON_BATTERY
     return table

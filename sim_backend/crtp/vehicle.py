@@ -21,6 +21,7 @@ from crazyarena.sim_backend.crtp.packets import NULL_PACKET, Port, Service, pars
 from crazyarena.sim_backend.crtp.params import ParamService
 from crazyarena.sim_backend.crtp.platform import PlatformService
 from crazyarena.sim_backend.crtp.supervisor import SupervisorService
+from crazyarena.sim_backend.crtp.toc import Table
 from crazyarena.sim_backend.crtp.variables import getters
 from crazyarena.sim_backend.physics.arena_plant import (
     AB_CHARGE,
@@ -28,6 +29,7 @@ from crazyarena.sim_backend.physics.arena_plant import (
     AP_CAPACITY,
     open_circuit_volts,
 )
+from crazyarena.sim_backend.power_state import battery_level
 
 BASE_ADDRESS = 0xE7E7E7E700
 # One of each high-level command, setpoint, notification, arming and watchdog.
@@ -61,9 +63,11 @@ class Hardware(Enum):
 
 @dataclass(slots=True)
 class Counters:
-    """Packets of one vehicle: received, refused before any service saw them, sent."""
+    """Packets of one vehicle: received, those among them that went to everybody, refused before
+    any service saw them, sent."""
 
     received: int = 0
+    broadcast: int = 0
     malformed: int = 0
     sent: int = 0
 
@@ -77,6 +81,7 @@ class VirtualCrazyflie:
         :meth:`advance`.
     hardware: which memories it has.
     stored: persistent parameters, kept over reboots.
+    table: whose parameters and log variables it has.
     """
 
     def __init__(
@@ -85,15 +90,16 @@ class VirtualCrazyflie:
         index: int,
         hardware: Hardware = Hardware.FULL,
         stored: dict[str, float] | None = None,
+        table: Table = Table.CF21,
     ) -> None:
         address = BASE_ADDRESS + fleet.ids[index]
         self.flight = ArenaVehicle(fleet, index, address)
         self.counters = Counters()
-        self.params = ParamService(self.flight, stored)
+        self.params = ParamService(self.flight, stored, table)
         self._variables = getters(self.flight.rows)
         self._tester = mem.TesterMemory()
         self._variables.update(self._own_variables())
-        self.log = LogService(self._read)
+        self.log = LogService(self._read, table)
         self._getters = [self._variables.get(entry.name) for entry in self.log.entries]
         self.memories = MemoryService(self._memories(hardware, address))
         self.console = ConsoleService()
@@ -108,7 +114,7 @@ class VirtualCrazyflie:
             Port.GENERIC_SETPOINT: commander,
             Port.HIGH_LEVEL: HighLevelService(self.flight.rows, self.flight.now),
             Port.SUPERVISOR: SupervisorService(self.flight),
-            Port.PLATFORM: PlatformService(self.flight),
+            Port.PLATFORM: PlatformService(self.flight, table.device),
             Port.LINK: LinkService(),
         }
 
@@ -202,6 +208,7 @@ class VirtualCrazyflie:
 
             return read
 
+        fleet, index, rows = self.flight.fleet, self.flight.index, self.flight.rows
         names = {f"ring.{name}": param(f"ring.{name}") for name in ("effect", "solidRed")}
         names |= {f"ring.{name}": param(f"ring.{name}") for name in ("solidGreen", "solidBlue")}
         for axis, name in enumerate("xyz"):
@@ -210,9 +217,12 @@ class VirtualCrazyflie:
             names[f"locSrv.{name}"] = attitude(axis)
         return names | {
             "locSrvZ.tick": lambda: self.flight.measured_at & 0xFFFF,
+            "pm.batteryLevel": lambda: battery_level(float(rows.body[AB_VOLTS])),
+            "pm.state": lambda: fleet.power.state(index, fleet.tick),
             "radio.rssi": lambda: _RSSI,
             "radio.isConnected": lambda: 1,
-            "radio.numRxUc": lambda: self.counters.received & 0xFFFF,
+            "radio.numRxUc": lambda: (self.counters.received - self.counters.broadcast) & 0xFFFF,
+            "radio.numRxBc": lambda: self.counters.broadcast & 0xFFFF,
             "memTst.errCntW": lambda: self._tester.errors,
         }
 

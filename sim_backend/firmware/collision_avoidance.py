@@ -15,6 +15,7 @@ import math
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.layout import (
     M_X,
     MODE_ABS,
@@ -23,7 +24,6 @@ from crazyarena.sim_backend.firmware.layout import (
     SP_VEL,
 )
 from crazyarena.sim_backend.firmware.parameters import Param
-from crazyarena.sim_backend.jit import kernel
 
 PARAMS = (
     Param("colAv.enable", 0, 0, "uint8"),

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.layout import (
     M_PITCH,
     M_ROLL,
@@ -26,7 +27,6 @@ from crazyarena.sim_backend.firmware.layout import (
     SP_RATE,
     SP_TIME,
 )
-from crazyarena.sim_backend.jit import kernel
 
 # Memory row.
 CM_SETPOINT = 0

@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.layout import (
     M_PITCH,
     M_QUAT,
@@ -65,7 +66,6 @@ from crazyarena.sim_backend.firmware.polynomial import (
     EV_YAW,
     PIECE_DURATION,
 )
-from crazyarena.sim_backend.jit import kernel
 
 PARAMS = (
     Param("hlCommander.vtoff", 0.5, 0.5),
@@ -338,6 +338,16 @@ def spiral(mem, sideways, clockwise, angle, radius0, radius1, climb, duration, t
 
 
 @kernel
+def place_trajectory(mem, trajectory_id, kind, offset, pieces):
+    """Note where a trajectory lies, unchecked; arguments of :func:`define_trajectory`."""
+    at = HL_DEFINITIONS + 4 * int(trajectory_id)
+    mem[at] = 1.0
+    mem[at + 1] = kind
+    mem[at + 2] = offset
+    mem[at + 3] = pieces
+
+
+@kernel
 def define_trajectory(mem, trajectory_id, kind, offset, pieces):
     """Name a part of the trajectory memory.
 
@@ -358,11 +368,7 @@ def define_trajectory(mem, trajectory_id, kind, offset, pieces):
             return ENOEXEC
     elif kind != TYPE_COMPRESSED or offset + 8 > TRAJECTORY_MEMORY_SIZE:
         return ENOEXEC
-    at = HL_DEFINITIONS + 4 * int(trajectory_id)
-    mem[at] = 1.0
-    mem[at + 1] = kind
-    mem[at + 2] = offset
-    mem[at + 3] = pieces
+    place_trajectory(mem, trajectory_id, kind, offset, pieces)
     return OK
 
 

@@ -16,6 +16,7 @@ import math
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.layout import (
     ST_ACC,
     ST_ACCEL,
@@ -26,7 +27,6 @@ from crazyarena.sim_backend.firmware.layout import (
     ST_VEL,
 )
 from crazyarena.sim_backend.firmware.parameters import Param
-from crazyarena.sim_backend.jit import kernel
 
 PARAMS = (
     Param("kalman.initialX", None, 0.0),

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 
 B0, B1, B2, A1, A2 = range(5)
 COEF_SIZE = 5

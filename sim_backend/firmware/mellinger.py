@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.arithmetic import clip, to_int16
 from crazyarena.sim_backend.firmware.layout import (
     CT_PITCH,
@@ -43,7 +44,6 @@ from crazyarena.sim_backend.firmware.layout import (
     ST_VEL,
 )
 from crazyarena.sim_backend.firmware.parameters import Param
-from crazyarena.sim_backend.jit import kernel
 
 PARAMS = (
     Param("ctrlMel.kp_xy", 0.4, 0.4),

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware import lowpass
 from crazyarena.sim_backend.firmware.arithmetic import clip, to_int16
 from crazyarena.sim_backend.firmware.layout import (
@@ -42,7 +43,6 @@ from crazyarena.sim_backend.firmware.layout import (
     ST_VEL,
 )
 from crazyarena.sim_backend.firmware.parameters import Param
-from crazyarena.sim_backend.jit import kernel
 
 # The twelve loops, in the order of their gains and of their memories.
 X, Y, Z, VX, VY, VZ, ROLL, PITCH, YAW, ROLL_RATE, PITCH_RATE, YAW_RATE = range(12)

@@ -16,6 +16,7 @@ import math
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.polynomial import (
     EV_ACC,
     EV_OMEGA,
@@ -30,7 +31,6 @@ from crazyarena.sim_backend.firmware.polynomial import (
     plan_axis,
     set_constant,
 )
-from crazyarena.sim_backend.jit import kernel
 
 TRAJECTORY_MEMORY_SIZE = 4096
 PIECE_BYTES = 132  # 33 float32

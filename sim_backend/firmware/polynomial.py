@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 
 PIECE_SIZE = 33
 PIECE_DURATION = 32

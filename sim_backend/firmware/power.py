@@ -15,9 +15,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.layout import CT_PITCH, CT_ROLL, CT_THRUST, CT_YAW
 from crazyarena.sim_backend.firmware.parameters import Param
-from crazyarena.sim_backend.jit import kernel
 
 PARAMS = (Param("powerDist.idleThrust", 0.0, 0.0, "uint32"),)
 IDLE_THRUST = 0

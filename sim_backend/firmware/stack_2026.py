@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware import (
     collision_avoidance,
     commander,
@@ -29,7 +30,6 @@ from crazyarena.sim_backend.firmware.layout import (
 )
 from crazyarena.sim_backend.firmware.parameters import Param, default_row
 from crazyarena.sim_backend.firmware.planner import PL_STATE, is_finished
-from crazyarena.sim_backend.jit import kernel
 
 _OWN_PARAMS = (
     Param("stabilizer.controller", 1.0, 1.0, "uint8"),

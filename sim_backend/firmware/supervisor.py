@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.commander import level_out
 from crazyarena.sim_backend.firmware.layout import SETPOINT_SIZE, ST_ACCEL
 from crazyarena.sim_backend.firmware.parameters import Param
-from crazyarena.sim_backend.jit import kernel
 
 PARAMS = (
     Param("supervisor.prefltTimeout", None, 30000.0, "uint16"),

@@ -6,7 +6,7 @@ the length of the present run of samples below the threshold, and 1.0 once tumbl
 
 from __future__ import annotations
 
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 
 TB_COUNT = 0
 TB_TUMBLED = 1

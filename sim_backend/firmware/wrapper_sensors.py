@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware import lowpass
 from crazyarena.sim_backend.firmware.layout import (
     ST_ACC,
@@ -22,7 +23,6 @@ from crazyarena.sim_backend.firmware.layout import (
     ST_QUAT,
     ST_VEL,
 )
-from crazyarena.sim_backend.jit import kernel
 
 STEP_RATE = 500  # Hz, environment steps
 _DT = 1.0 / STEP_RATE

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import math
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.power import FULL_SCALE
-from crazyarena.sim_backend.jit import kernel
 from crazyarena.sim_backend.physics.competition_step import (
     B_OMEGA,
     B_POS,
@@ -49,6 +49,7 @@ AP_LAG_UP = FULL_PLANT_SIZE  # s, time constant of the rotor speed when it rises
 AP_LAG_DOWN = FULL_PLANT_SIZE + 1  # s, and when it falls
 AP_STRENGTH = FULL_PLANT_SIZE + 2  # thrust of M1..M4 relative to the nominal one
 AP_THRUST = FULL_PLANT_SIZE + 6  # nominal thrust (N) over volts: c0 + c1 v + c2 v^2 + c3 v^3
+DYING = 0.02  # share of the charge that a cell gives on its way from empty to nothing
 AP_CAPACITY = FULL_PLANT_SIZE + 10  # A s
 AP_RESISTANCE = FULL_PLANT_SIZE + 11  # Ohm
 AP_CURRENT = FULL_PLANT_SIZE + 12  # A per N^1.5 of nominal thrust
@@ -67,7 +68,10 @@ _REST_ARM = 0.06  # m, turns a rate into a speed
 
 @kernel
 def open_circuit_volts(plant, drawn):
-    """Battery voltage without load after a share ``drawn`` of its charge, held beyond 0 and 1."""
+    """Battery voltage without load after a share ``drawn`` of its charge; held before 0, and
+    dying fast beyond 1, as a lithium cell does."""
+    if drawn > 1.0:
+        return max(0.0, plant[AP_OPEN + OPEN_POINTS - 1] * (1.0 - (drawn - 1.0) / DYING))
     at = min(max(drawn, 0.0), 1.0) * (OPEN_POINTS - 1.0)
     i = min(int(at), OPEN_POINTS - 2)
     low, high = plant[AP_OPEN + i], plant[AP_OPEN + i + 1]

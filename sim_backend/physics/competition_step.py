@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 
 DT = 0.002
 GRAVITY = 9.8

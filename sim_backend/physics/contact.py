@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.physics.competition_step import (
     B_OMEGA,
     B_POS,

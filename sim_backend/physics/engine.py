@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crazyarena.errors import InputError
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.physics.competition_step import (
     B_OMEGA,
     B_POS,
@@ -138,7 +138,7 @@ class NativeEngine:
 
     Parameters
     ----------
-    plants: (n, FULL_PLANT_SIZE) rows, one a vehicle, e.g. ``rigid_body.arena_plant()``.
+    plants: (n, FULL_PLANT_SIZE) rows, one a vehicle, e.g. ``rigid_body.plant_row(...)``.
     gates, obstacles: true poses, rows as for ``scene.build_scene``.
     dt: s per step; 1 or 2 ms.
     ground: False for a world without floor.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.physics.competition_step import (
     B_OMEGA,
     B_POS,

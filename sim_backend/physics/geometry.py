@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.physics.gjk import SIMPLEX_ROWS, distance, support
 from crazyarena.sim_backend.physics.scene import (
     BOX,

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.physics.scene import (
     BOX,
     FACETS,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.collision_avoidance import P_ENABLE, avoid_collisions
 from crazyarena.sim_backend.firmware.layout import (
     M_X,
@@ -38,7 +39,6 @@ from crazyarena.sim_backend.firmware.polynomial import (
     EV_YAW,
     EVAL_SIZE,
 )
-from crazyarena.sim_backend.jit import kernel
 
 # Motion of one vehicle, as a state or as a setpoint.
 MO_POS = 0  # m, world

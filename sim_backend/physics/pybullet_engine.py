@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from crazyarena.errors import DependencyMissing
 from crazyarena.sim_backend.physics import scene as s
 from crazyarena.sim_backend.physics.competition_step import (
     B_OMEGA,
@@ -136,7 +137,10 @@ class PyBulletEngine:
         gui: bool = False,
         link_frames: bool = False,
     ) -> None:
-        import pybullet
+        try:
+            import pybullet
+        except ImportError:
+            raise DependencyMissing("pybullet", "pybullet", "the PyBullet engine") from None
 
         self._bullet: Any = pybullet
         self.dt = dt

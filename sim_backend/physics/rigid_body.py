@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.physics.competition_step import (
     B_OMEGA,
     B_QUAT,

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crazyarena.errors import InputError
-from crazyarena.sim_backend.jit import kernel
+from crazyarena.jit import kernel
 
 # Row of one primitive, or of an object's header.
 S_KIND = 0  # BOX, CYLINDER (axis along local z) or GROUP

@@ -203,7 +203,7 @@ class TestCrazyswarm2:
         ("old", "new", "message"),
         [
             ("type: brushless", "type: x", "robots.cf6.type: found 'x'; .* cf21, brushless"),
-            ("E7E7E7E706", "E7E7E7E7E7", "robots.cf6: id 231 is already used by robots.cf231"),
+            ("1/100/2M/E7E7E7E706", "1/80/2M/E7E7E7E7E7", "robots.cf6.uri: .* cf231 has this one"),
             ("radio://1/100/2M/E7E7E7E706", "somewhere", "robots.cf6.uri: found 'somewhere'"),
             ("enabled: false", "enabled: 3", "robots.cf5.enabled: found 3"),
             ("[1, 2.5, 0]", "[1, 2.5]", "robots.cf6.initial_position: found"),

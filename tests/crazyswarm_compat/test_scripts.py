@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.crazyswarm_compat.conftest import TWO, TWO_2
+from tests.optional import needs_pybullet
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "crazyswarm"
 
@@ -94,7 +95,7 @@ def folder(tmp_path):
 BACKENDS = [
     (("--sim",), 1e-4),
     (("--backend", "sim"), 0.05),
-    pytest.param(("--backend", "pybullet"), 0.05, marks=pytest.mark.slow),
+    pytest.param(("--backend", "pybullet"), 0.05, marks=[pytest.mark.slow, needs_pybullet]),
 ]
 
 

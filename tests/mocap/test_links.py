@@ -26,7 +26,8 @@ from crazyarena.mocap.sim_source import SimSource
 from crazyarena.mocap.source import SourceState
 from crazyarena.mocap.vendor_server import QualisysServer
 from crazyarena.mocap.wire import encode
-from crazyarena.mocap.zenoh_link import ZenohPublisher, ZenohSource, open_session
+from crazyarena.mocap.zenoh_link import ZenohPublisher, ZenohSource
+from crazyarena.mocap.zenoh_session import open_session
 from crazyarena.types import Pose, PoseFrame
 from tests.waiting import eventually
 
@@ -64,6 +65,10 @@ def test_zenoh_between_processes_loses_nothing():
 
 def test_real_vendor_client_against_emulated_server_loses_nothing(qualisys_port_free):
     assert complete(measure("qualisys", 300.0, 2.0, 10))
+
+
+def test_nine_trackers_of_vrpn_lose_nothing():
+    assert complete(measure("vrpn", 100.0, 2.0, 9))
 
 
 @pytest.mark.slow

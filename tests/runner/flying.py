@@ -110,7 +110,7 @@ class Flying:
             "fly", entry, "--uri", self.arena.uri, "--mocap", "zenoh", "--mocap-host",
             self.arena.endpoint, "--yes", "--no-figure", "--out", self.out, *waived,
             *sets(EMPTY),
-            env={**os.environ, "XDG_RUNTIME_DIR": str(folder)}, stdin=subprocess.DEVNULL,
+            env={**os.environ, "CRAZYARENA_RUNTIME_DIR": str(folder)}, stdin=subprocess.DEVNULL,
         )  # fmt: skip
 
     def __enter__(self) -> Flying:

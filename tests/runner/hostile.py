@@ -63,6 +63,18 @@ FATAL = {
         "\n        return Command.NONE, []",
         "not asked for",
     ),
+    "answers_in_advance": (
+        "for step in range(2000):\n"
+        "            os.write(int(sys.argv[1]), struct.pack('<cqb15d', b'A', step, 0, *[0.0] * 15))"
+        "\n        clock.sleep(1000)",
+        "not asked for",
+    ),
+    "learns_for_ever": (
+        "for _ in range(2000):\n"
+        "            os.write(int(sys.argv[1]), struct.pack('<cqdd', b'T', 1, 0.0, 0.0))"
+        "\n        return Command.NONE, []",
+        "not asked for",
+    ),
     "flood_channel": (
         "for _ in range(10000):\n            os.write(int(sys.argv[1]), b'x' * 1000)",
         "",
@@ -119,6 +131,16 @@ DENIED = {
     "delete_outside": "os.unlink('{secret}')",
     "link_to_secret": "os.symlink('{secret}', 'link'); open('link').read()",
     "hard_link": "os.link('{secret}', 'link')",
+    "chmod_outside": "os.chmod('{secret}', 0o777)",
+    "chmod_folder_outside": "os.chmod('{outside}', 0o777)",
+    "chown_outside": "os.chown('{secret}', os.getuid(), os.getgid())",
+    "utime_outside": "os.utime('{secret}', (1, 1))",
+    "xattr_outside": "os.setxattr('{secret}', 'user.x', b'x')",
+    "chmod_by_descriptor": "f = os.open('/usr', os.O_RDONLY); os.fchmod(f, 0o755)",
+    "utime_of_the_system": "os.utime('/usr/bin/env')",
+    "read_shadow": "open('/etc/shadow').read()",
+    "memory_file": "os.memfd_create('mine')",
+    "shared_segment": "assert ctypes.CDLL(None).shmget(0, 1 << 20, 0o1600) >= 0",
     "tcp_out": "socket.create_connection(('127.0.0.1', {port}), 1).close()",
     "udp_out": "socket.socket(socket.AF_INET, socket.SOCK_DGRAM)",
     "unix_socket": "socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)",

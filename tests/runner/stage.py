@@ -15,6 +15,7 @@ from crazyarena.levels.draw import LevelRandom
 from crazyarena.mocap.camera_model import CameraModel
 from crazyarena.mocap.sim_source import SimSource
 from crazyarena.mocap.zenoh_link import ZenohPublisher
+from crazyarena.runner.campaign.turned import turn
 from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
 from crazyarena.sim_backend.arena_kernel import N_FORCE
 from crazyarena.sim_backend.arena_world import feet, track_truth
@@ -46,6 +47,7 @@ class Swarm(VirtualSwarm):
 
     track: dict[str, Pose]
     names: dict[str, str | None]
+    noses: dict[str, float]
     hand: int | None = None
     angle = 0.0
     wanted = 0.0
@@ -70,7 +72,10 @@ class Swarm(VirtualSwarm):
         self.angle += change
 
     def truth(self):
-        seen = {self.names.get(name, name): pose for name, pose in super().truth().items()}
+        seen = {
+            self.names.get(name, name): turn(pose, self.noses.get(name, 0.0))
+            for name, pose in super().truth().items()
+        }
         return {**{k: v for k, v in seen.items() if k is not None}, **self.track}
 
 
@@ -79,9 +84,10 @@ class Stage:
 
     places: (x, y) of the vehicles, m; the level's start by default.
     names: other names under which the cameras see bodies; None for not at all.
+    noses: rad by which bodies' noses lie to the left of their vehicles'.
     """
 
-    def __init__(self, level="sim2real", overrides=(), places=None, names=None):
+    def __init__(self, level="sim2real", overrides=(), places=None, names=None, noses=None):
         draw = LevelRandom(load_level(level, list(overrides))).reset()
         places = places or [(draw.start[0], draw.start[2])]
         self._hand = Hand()
@@ -92,6 +98,7 @@ class Stage:
         self.swarm = Swarm(self.fleet)
         self.swarm.track = track_truth(feet(draw), draw.obstacles)
         self.swarm.names = dict(names or {})
+        self.swarm.noses = dict(noses or {})
         for vehicle in self.swarm.vehicles:
             vehicle.warm_up()
         with socket.socket() as probe:

@@ -1,4 +1,4 @@
-"""The bench: cflib over UDP, cameras over zenoh, real time. Long, and in need of two CPUs."""
+"""The bench: cflib over UDP and radio, cameras over zenoh, real time. Long, needs two CPUs."""
 
 import json
 import signal
@@ -42,6 +42,19 @@ def test_a_slow_controller_is_as_slow_in_the_dry_run(tmp_path):
     assert compared.distance.max() <= 0.10
 
 
+def test_over_a_virtual_crazyradio(tmp_path):
+    entry = tmp_path / "entry.py"
+    entry.write_text(CIRCLE.format(think=0.0))
+    out = tmp_path / "out"
+    options = ("--link", "radio", "--mocap-rate", "100", "--no-dry", "--no-figure")
+    process = crazyarena("bench", entry, "--out", out, *options, *sets(EMPTY))
+    printed, _ = process.communicate(timeout=300)
+    document = json.loads((out / "bench_00" / "result.json").read_text())
+    assert document["episodes"][0]["termination"] == "MAX EPISODE DURATION", printed
+    assert process.returncode == 0
+    assert document["provenance"]["rig"]["backend"].startswith("radio://")
+
+
 def test_a_killed_bench_leaves_no_process(tmp_path):
     entry = tmp_path / "entry.py"
     entry.write_text(CIRCLE.format(think=0.0))
@@ -70,3 +83,25 @@ def test_a_killed_bench_leaves_no_process(tmp_path):
         time.sleep(0.5)
     assert children[0] is not None
     assert children[1] is not None
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    "cameras",
+    [
+        ("qualisys",), ("natnet",), ("vrpn",), ("zenoh",),
+        ("vrpn", "--mocap-option", "client=motioncapture"),
+    ],
+)  # fmt: skip
+def test_a_circle_is_flown_by_every_camera_protocol(cameras, tmp_path):
+    entry = tmp_path / "entry.py"
+    entry.write_text(CIRCLE.format(think=0.0))
+    out = tmp_path / "out"
+    process = crazyarena(
+        "bench", entry, "--out", out, "--no-dry", "--no-figure", "--mocap", *cameras, *sets(EMPTY)
+    )
+    printed, _ = process.communicate(timeout=200)
+    document = json.loads((out / "bench_00" / "result.json").read_text())
+    (episode,) = document["episodes"]
+    assert episode["termination"] == "MAX EPISODE DURATION", printed
+    assert cameras[0] in json.dumps(document["provenance"])

@@ -1,19 +1,26 @@
 """Pytest plugin that takes one safeguard out, named by the environment.
 
 ``SAFETY_MUTATION`` is ``rule:<name>`` for a monitor, ``gate:<command>`` for a check of the
-command gate, ``link_loss`` for its look at what would be if the link were lost, or ``pilot`` for
-a pilot that does nothing.
+command gate, or a name in :data:`OTHERS`.
 """
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Callable
 from typing import Any
 
-from crazyarena.safety import guard
+from crazyarena.safety import gate, guard, preflight, watchdog
+from crazyarena.safety.admission import parameters, plans
 from crazyarena.safety.admission.fitters import FITTERS
+from crazyarena.safety.admission.room import Room
+from crazyarena.safety.admission.trajectory_memory import TrajectoryMemory
+from crazyarena.safety.gate import CommandGate
+from crazyarena.safety.heading import HeadingWatch
 from crazyarena.safety.link_loss import LinkLoss
 from crazyarena.safety.pilot import SafePilot
+from crazyarena.safety.planner import Planner
 
 
 def rules() -> list[str]:
@@ -24,8 +31,76 @@ def checks() -> list[str]:
     return [command.__name__ for command in FITTERS]
 
 
+def _without(owner: Any, name: str, value: Any) -> Callable[[], None]:
+    return lambda: setattr(owner, name, value)
+
+
+def _no_slots() -> None:
+    follow = Planner.follow
+
+    def forgetful(self: Planner, plan: Any, now: float, landing: bool = False, slots: Any = ()):
+        follow(self, plan, now, landing)
+
+    Planner.follow = forgetful  # type: ignore[method-assign]
+
+
+# What is taken out, and the tests that must notice.
+OTHERS: dict[str, tuple[Callable[[], None], str]] = {
+    # What would be if the link were lost.
+    "link_loss": (_without(LinkLoss, "on", False), "test_gate.py"),
+    # A pilot that does nothing.
+    "pilot": (_without(SafePilot, "update", lambda self, action, obs: []), "test_watchdog.py"),
+    # Relative goals are added to where the vehicle is.
+    "planner": (_without(Planner, "origin", lambda self, now, seen: seen), "test_gate.py"),
+    # Memory that is being flown may be overwritten.
+    "slots": (_no_slots, "test_gate.py"),
+    # An id is flown, whatever its memory holds.
+    "overwritten": (
+        _without(TrajectoryMemory, "overwritten_by", lambda self, ident: None),
+        "test_gate.py",
+    ),
+    # Only ends are looked at, not the way to them.
+    "way": (_without(Room, "clear_share", lambda self, begin, end, least: 1.0), "test_gate.py"),
+    "plan": (_without(plans, "_excess", lambda room, plan, origin: 0.0), "test_gate.py"),
+    "near_its_plan": (_without(Room, "near_its_plan", lambda self, *args: None), "test_gate.py"),
+    # A plan after a stream is not flown.
+    "relax": (_without(CommandGate, "_must_relax", lambda self, *args: False), "test_gate.py"),
+    "range": (_without(parameters, "_TUNED", {}), "test_gate.py"),
+    "controller": (
+        _without(parameters, "_refuse_unknown_braking", lambda *args: None),
+        "test_gate.py",
+    ),
+    "jitter": (
+        _without(watchdog, "repeats", lambda last, pose, flying: False),
+        "test_watchdog.py",
+    ),
+    "old_poses": (_without(gate, "repeats", lambda last, pose, flying: False), "test_gate.py"),
+    "slow_cameras": (
+        _without(watchdog.Watchdog, "_grounded", lambda self: None),
+        "test_watchdog.py",
+    ),
+    "neighbours": (_without(watchdog, "nearest", lambda *args: None), "test_watchdog.py"),
+    "heading": (
+        _without(HeadingWatch, "update", lambda self, *args: self.now),
+        "test_heading.py",
+    ),
+    "nose": (_without(preflight, "nose_between", lambda own, body: 0.0), "test_preflight.py"),
+    "axes": (_without(preflight, "explain_axes", lambda *args: None), "test_preflight.py"),
+    "lean": (_without(preflight, "_LEANS", math.inf), "test_preflight.py"),
+    "frame_rate": (
+        _without(
+            preflight,
+            "MACHINE_CHECKS",
+            tuple(c for c in preflight.MACHINE_CHECKS if c is not preflight.check_cameras),
+        ),
+        "test_preflight.py",
+    ),
+}
+
+
 def pytest_configure(config: Any) -> None:
-    kind, _, name = os.environ.get("SAFETY_MUTATION", "").partition(":")
+    mutation = os.environ.get("SAFETY_MUTATION", "")
+    kind, _, name = mutation.partition(":")
     if kind == "rule":
         assert name in rules()
         guard.RULES = tuple(rule for rule in guard.RULES if rule.name != name)
@@ -34,7 +109,5 @@ def pytest_configure(config: Any) -> None:
         for command in list(FITTERS):
             if command.__name__ == name:
                 del FITTERS[command]
-    elif kind == "link_loss":
-        LinkLoss.on = False  # type: ignore[method-assign,assignment]
-    elif kind == "pilot":
-        SafePilot.update = lambda self, action, obs: []  # type: ignore[method-assign]
+    elif kind:
+        OTHERS[kind][0]()

@@ -24,6 +24,7 @@ from crazyarena.safety.estop_sources import (
     KeyboardSource,
     SocketSource,
     ZenohSource,
+    runtime_folder,
     stop_local,
     stop_over_zenoh,
 )
@@ -174,7 +175,7 @@ def test_another_shell(stop, link, tmp_path):
         assert [answer for _, answer in stop_local(test=True, folder=tmp_path)] == ["tested"]
         assert stop.last_test is not None
         assert not link.stopped.is_set()
-        environment = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)}
+        environment = {**os.environ, "CRAZYARENA_RUNTIME_DIR": str(tmp_path)}
         folder = tmp_path / f"crazyarena-{os.getuid()}"
         folder.mkdir(mode=0o700)
         os.link(source.path, folder / source.path.name)
@@ -212,7 +213,7 @@ def test_sockets_nobody_listens_on_are_removed(tmp_path):
 def test_command_without_anything_to_stop_says_so(tmp_path):
     result = subprocess.run(
         [sys.executable, "-m", "crazyarena", "estop"],
-        env={**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)},
+        env={**os.environ, "CRAZYARENA_RUNTIME_DIR": str(tmp_path)},
         capture_output=True,
         text=True,
         timeout=60,
@@ -346,12 +347,10 @@ def test_a_folder_that_can_hold_no_socket_is_named(stop, tmp_path):
         SocketSource(stop, deep)
 
 
-def test_socket_folder_of_others_is_refused(tmp_path, monkeypatch):
-    from crazyarena.safety.estop_sources import runtime_folder
-
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+def test_the_runtime_folder_is_put_right(tmp_path, monkeypatch):
+    monkeypatch.setenv("CRAZYARENA_RUNTIME_DIR", str(tmp_path))
     folder: Path = runtime_folder()
     assert folder.stat().st_mode & 0o777 == 0o700
-    folder.chmod(0o755)
-    with pytest.raises(InputError, match="open to others"):
-        runtime_folder()
+    folder.chmod(0o777)
+    assert runtime_folder() == folder
+    assert folder.stat().st_mode & 0o777 == 0o700

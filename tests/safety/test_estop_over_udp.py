@@ -21,7 +21,7 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.radio import RadioBackend, RadioOptions
 from crazyarena.levels import load_level
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
-from crazyarena.mocap.zenoh_link import open_session
+from crazyarena.mocap.zenoh_session import open_session
 from crazyarena.safety.estop import DeadMan, EmergencyStop, interrupt_policy
 from crazyarena.safety.estop_sources import (
     ZENOH_KEY,
@@ -93,7 +93,7 @@ def test_gamepad(flying):
 
 
 def test_another_shell(flying, tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("CRAZYARENA_RUNTIME_DIR", str(tmp_path))
     source = SocketSource(flying.stop)
     result = subprocess.run(
         [sys.executable, "-m", "crazyarena", "estop"], capture_output=True, timeout=60
@@ -274,7 +274,7 @@ def test_a_flood_of_garbage_and_busy_processors_do_not_hold_a_stop_up(flying, tm
         result = subprocess.run(
             [sys.executable, "-m", "crazyarena", "estop", "--connect", endpoint, "--token",
              str(token), "--reason", "in a flood"],
-            env={**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)},
+            env={**os.environ, "CRAZYARENA_RUNTIME_DIR": str(tmp_path)},
             capture_output=True, text=True, timeout=120,
         )  # fmt: skip
         assert result.returncode == 0, result.stdout + result.stderr

@@ -9,8 +9,10 @@ from typing import Any
 import pytest
 
 from crazyarena.safety.events import Action
+from crazyarena.safety.heading import Turned
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.monitors import RULES, stopping_path
+from crazyarena.safety.monitors import RULES
+from crazyarena.safety.stopping import stopping_path
 from tests.safety.scenes import flying, lasting, new_guard, run, tilted
 
 N = Limits()
@@ -84,6 +86,23 @@ CASES: list[tuple[str, Action, dict[str, Any], dict[str, Any], float]] = [
     ("controller_silent", HOLD, {"controller_age": 0.41}, {"controller_age": 0.39}, 0.0),
     ("scheduler_late", WARN, {"lateness": 0.04}, {"lateness": 0.02}, 0.0),
     ("scheduler_late", HOLD, {"lateness": 0.26}, {"lateness": 0.24}, 0.0),
+    ("camera_rate", WARN, {"camera_rate": 29.0}, {"camera_rate": 31.0}, N.camera_rate_time),
+    ("body_turned_far", CUT, {"turned": Turned(0.7, 0.1)}, {"turned": Turned(3.0, 0.3)}, 0.0),
+    ("body_turned", WARN, {"turned": Turned(0.35, 0.03)}, {"turned": Turned(0.24, 0.01)}, 0.0),
+    ("body_turned", WARN, {"turned": Turned(-0.35, 0.03)}, {"turned": Turned(-0.35, 0.1)}, 0.0),
+    ("body_turned_far", CUT, {"turned": Turned(0.7, 0.1)}, {"turned": Turned(0.7, 0.14)}, 0.0),
+    ("body_turned_far", CUT, {"turned": Turned(-3.1, 0.15)}, {"turned": Turned(0.5, 0.01)}, 0.0),
+    ("yaw_apart", WARN, {"turned": Turned(yaw=0.3)}, {"turned": Turned(yaw=0.2)}, 0.0),
+    ("yaw_apart", CUT, {"turned": Turned(yaw=-0.6)}, {"turned": Turned(yaw=-0.4)}, 0.0),
+    ("neighbour", WARN, {"neighbour": 0.29}, {"neighbour": 0.31}, 0.0),
+    ("neighbour", HOLD, {"neighbour": 0.19}, {"neighbour": 0.21}, 0.0),
+    (
+        "neighbour_predicted",
+        HOLD,
+        {"neighbour_predicted": 0.19},
+        {"neighbour_predicted": 0.21},
+        0.0,
+    ),
     ("clock_jump", LAND, {"clock_error": -0.06}, {"clock_error": -0.04}, 0.0),
     ("person_near", CUT, {"person_distance": 0.9}, {"person_distance": 1.1}, 0.0),
     ("person_inside", LAND, {"person_depth": 0.1}, {"person_depth": -0.1}, 0.0),

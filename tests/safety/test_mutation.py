@@ -15,20 +15,15 @@ ROOT = Path(__file__).resolve().parents[2]
 MUTATIONS = [
     *(f"rule:{name}" for name in mutation_plugin.rules()),
     *(f"gate:{name}" for name in mutation_plugin.checks()),
-    "link_loss",
-    "pilot",
+    *mutation_plugin.OTHERS,
 ]
 
 
 def run_suite(mutation: str) -> subprocess.CompletedProcess[str]:
     kind = mutation.partition(":")[0]
-    files = {
-        "rule": ["test_monitors.py"],
-        "gate": ["test_gate.py"],
-        "link_loss": ["test_gate.py"],
-        "pilot": ["test_watchdog.py"],
-    }
-    names = files.get(kind, ["test_monitors.py", "test_gate.py", "test_watchdog.py"])
+    files = {"rule": "test_monitors.py", "gate": "test_gate.py"}
+    files |= {name: file for name, (_, file) in mutation_plugin.OTHERS.items()}
+    names = [files[kind]] if kind else sorted(set(files.values()))
     return subprocess.run(
         [
             sys.executable,

@@ -58,3 +58,31 @@ def test_a_brake_setpoint_may_be_the_last_one_to_arrive():
     free = SafePilot(fence(), Limits(link_loss_margin=math.inf))
     told = first_setpoint(free, 0.0, position=(2.9, 0.0, 1.0), velocity=(2.0, 0.0, 0.0))
     assert told.velocity[0] == pytest.approx(2.0)
+
+
+def test_a_climb_is_braked_gently_and_the_rest_as_hard_as_ever():
+    pilot = SafePilot(fence(), Limits())
+    moving = (0.6, 0.0, 1.2)
+    pilot.see(flying(0.0, velocity=moving))
+    told = first_setpoint(pilot, 0.01, velocity=moving)
+    # Rotors that stand still cannot steer: something of gravity must be left to carry.
+    assert told.acceleration[2] == pytest.approx(-2.5)
+    stop = math.hypot(*moving) / Limits().braking
+    assert told.acceleration[0] == pytest.approx(-0.6 / stop)
+    sinking = SafePilot(fence(), Limits())
+    sinking.see(flying(0.0, velocity=(0.0, 0.0, -1.2)))
+    told = first_setpoint(sinking, 0.01, velocity=(0.0, 0.0, -1.2))
+    assert told.acceleration[2] == pytest.approx(Limits().braking)
+
+
+def test_one_that_is_outside_is_not_kept_from_coming_back():
+    pilot = SafePilot(fence(), Limits())
+    where = {"position": (-3.2, 0.0, 0.7), "velocity": (-0.5, 0.0, -1.0)}
+    pilot.see(flying(0.0, **where))
+    for k in range(1, 80):
+        told = pilot.update(Action.HOLD, flying(0.01 * k, **where))
+    (setpoint,) = told or [None]
+    assert setpoint is not None
+    assert setpoint.position[0] > -3.1
+    # Towards the place inside, not with the vehicle outwards.
+    assert setpoint.velocity[0] > 0.0

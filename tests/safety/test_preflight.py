@@ -8,13 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from crazyarena.clock import VirtualClock
 from crazyarena.errors import InputError
 from crazyarena.levels import load_level
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
+from crazyarena.mocap.frames import pose_to_y_up
 from crazyarena.safety import preflight as pf
 from crazyarena.safety.estop import EmergencyStop
+from crazyarena.safety.rehearsal import Rehearsals
 from crazyarena.types import Pose, Telemetry, VehicleState
 
 LEVEL = load_level("sim2real")
@@ -68,6 +73,18 @@ def telemetry(p: pf.Preflight, **changes) -> pf.Preflight:
 
 def test_everything_in_order_is_green():
     assert red(ready()) == []
+
+
+def test_a_y_up_stream_is_named_with_its_remedy():
+    p = ready()
+    p.poses = {"cf1": Pose(START, turned())}
+    assert red(p) == []
+    p.poses = {"cf1": pose_to_y_up(Pose(START, turned(0.4)))}
+    assert red(p) == ["world axes"]
+    (line,) = [line for line in p.run() if line.name == "world axes"]
+    assert "y-up" in line.found
+    assert "axes=y-up" in line.remedy
+    assert pf.may_fly(pf.Line(x.name, True, "") for x in p.run(["world axes"]) if x.waived)
 
 
 @pytest.mark.parametrize(
@@ -188,3 +205,69 @@ def test_tipping_names_the_body():
     assert pf.tipped_body(bodies, UPRIGHT) is None
     bodies["cf2"] = Pose(START, turned(roll=0.5))
     assert pf.tipped_body(bodies, turned(roll=0.45)) is None
+
+
+angles = st.floats(-math.pi, math.pi)
+
+
+@given(angles, angles, angles, st.floats(0.25, 1.2), angles)
+def test_tipping_tells_between_the_noses(nose, own_yaw, true_yaw, size, direction):
+    axis = [math.cos(direction), math.sin(direction), 0.0]
+    tipped = Rotation.from_rotvec(size * np.array(axis))
+    own = Rotation.from_euler("z", own_yaw) * tipped
+    body = Rotation.from_euler("z", true_yaw) * tipped * Rotation.from_euler("z", nose)
+    found = pf.nose_between(own.as_quat(), body.as_quat())
+    assert abs(math.remainder(found - nose, math.tau)) < 1e-6
+
+
+def test_a_turned_body_grounds_and_says_how_to_turn_it():
+    p = ready()
+    p.vehicles[0].turned = math.radians(9.0)
+    assert red(p) == []
+    p.vehicles[0].turned = math.radians(-90.0)
+    assert red(p) == ["cf1 heading"]
+    (line,) = [line for line in p.run() if line.name == "cf1 heading"]
+    assert "-90 deg" in line.found
+    assert "by +90 deg about z" in line.remedy
+
+
+def test_rehearsals_remember_the_nose(tmp_path):
+    rehearsals = Rehearsals(tmp_path, lambda: 100.0)
+    rehearsals.note_body("a", "cf1", 0.3)
+    assert rehearsals.turned("a") == 0.3
+    rehearsals.note_body("b", "cf2")
+    assert rehearsals.turned("b") is None
+    assert rehearsals.turned("c") is None
+    assert rehearsals.body("a") == ("cf1", 0.0)
+
+
+def test_slow_cameras_ground():
+    p = ready()
+    p.camera_rate = 100.0
+    assert red(p) == []
+    p.camera_rate = 10.0
+    assert red(p) == ["camera rate"]
+
+
+def test_a_mirrored_world_is_named():
+    p = ready()
+    p.gates = {
+        k: Pose(pose.position * [1.0, -1.0, 1.0], pose.quaternion) for k, pose in p.gates.items()
+    }
+    (line,) = [line for line in p.run() if line.name == "gates"]
+    assert not line.ok
+    assert "mirrored" in line.remedy
+    p = vehicle(telemetry(ready(), state=state(START)), seen=seen(position=START[[1, 0, 2]]))
+    (line,) = [line for line in p.run() if line.name == "cf1 at start"]
+    assert not line.ok
+    assert "their y, x, z" in line.remedy
+
+
+def test_a_vehicle_that_stands_and_is_seen_to_lean_grounds():
+    p = ready()
+    estimate = p.vehicles[0].seen
+    lying = replace(estimate.state, quaternion=turned(roll=math.pi / 2))
+    p = vehicle(p, seen=replace(estimate, state=lying))
+    (line,) = [line for line in p.run() if line.name == "cf1 at start"]
+    assert not line.ok
+    assert "lean by 90 deg" in line.remedy

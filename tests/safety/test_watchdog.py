@@ -17,6 +17,7 @@ from crazyarena.mocap.events import EventKind, MocapEvent
 from crazyarena.safety.estop import DeadMan, EmergencyStop
 from crazyarena.safety.events import Action
 from crazyarena.safety.gate import CommandGate, Refused
+from crazyarena.safety.observation import as_point
 from crazyarena.safety.watchdog import Watchdog
 from crazyarena.types import Pose, PoseFrame, Telemetry, VehicleState
 from tests.safety.scenes import fence
@@ -420,3 +421,83 @@ def test_thread_reacts_to_a_frame_and_ends():
     finally:
         rig.watchdog.close()
     assert not any(thread.name == "watchdog" for thread in threading.enumerate())
+
+
+def test_a_frozen_pose_with_jitter_is_found_as_an_old_one():
+    rig = Rig()
+    rig.fly()
+    frozen = rig.vehicle.position.copy()
+    for _ in range(40):
+        now = rig.clock.now() + 0.01
+        rig.clock.sleep_until(now)
+        jitter = rig.rng.uniform(-1.0, 1.0, 3) * 3e-6
+        rig.show({"cf1": Pose(frozen + jitter, LEVEL)}, True, (), now)
+        rig.watchdog.step()
+    taken = [e.rule for e in rig.watchdog.events if e.action.takes_over]
+    assert taken[:1] == ["pose_stale"]
+
+
+def test_nothing_takes_off_by_slow_cameras():
+    rig = Rig()
+    for k in range(20):
+        now = 0.1 * (k + 1)
+        rig.clock.sleep_until(now)
+        rig.show({"cf1": Pose(rig.vehicle.position + rig.noise(), LEVEL)}, True, (), now)
+        rig.watchdog.step()
+    with pytest.raises(Refused, match="10 frames a second"):
+        rig.gate.runner.send(c.Takeoff(1.0, 2.0), 1)
+    for _ in range(120):
+        rig.frame()
+    rig.gate.runner.send(c.Takeoff(1.0, 2.0), 1)
+
+
+def test_begun_anew_nothing_of_the_flight_before_counts():
+    rig = Rig()
+    rig.fly()
+    rig.watchdog.request(Action.CUT, "test")
+    rig.frame()
+    with pytest.raises(Refused):
+        rig.gate.runner.send(c.Takeoff(1.0, 2.0), 1)
+    rig.gate.renew()
+    rig.watchdog.renew()
+    rig.fly()
+    assert rig.watchdog.action(1) is Action.NONE
+    assert rig.watchdog.events[-1].rule == "test"
+
+
+def test_vehicles_that_come_too_close_are_held():
+    clock = VirtualClock()
+    pair = {1: Vehicle(clock), 2: Vehicle(clock)}
+    pair[2].position = pair[1].position + np.array([1.0, 0.0, 0.0])
+
+    class Both(Vehicle):
+        vehicles = (1, 2)
+
+        def telemetry(self, vehicle: int) -> Telemetry:
+            return pair[vehicle].telemetry(1)
+
+    link = Both(clock)
+    gate = CommandGate(link, fence(), clock)
+    bodies = {"cf1": 1, "cf2": 2}
+    watchdog = Watchdog(
+        gate, fence(), clock, bodies, lambda name: pair[bodies[name]].estimate("cf1")
+    )
+    rng = np.random.default_rng(2)
+    taken_at = None
+    for k in range(300):
+        clock.sleep_until(clock.now() + 0.01)
+        now = clock.now()
+        pair[2].position = pair[2].position - np.array([0.003, 0.0, 0.0])
+        frame = {}
+        for name, vehicle in bodies.items():
+            pair[vehicle].captured = now - 0.005
+            frame[name] = Pose(pair[vehicle].position + rng.normal(0.0, 1e-4, 3), LEVEL)
+            if not watchdog.action(vehicle).takes_over:
+                place = as_point(pair[vehicle].position)
+                gate.runner.send(c.FullState(place, ZERO, ZERO, 0.0, ZERO), vehicle)
+        watchdog.on_frame(PoseFrame(now - 0.005, now, k, frame), FrameResult(frame, ()))
+        watchdog.step()
+        if taken_at is None and watchdog.action(1).takes_over and watchdog.action(2).takes_over:
+            taken_at = float(pair[2].position[0] - pair[1].position[0])
+    assert taken_at == pytest.approx(0.2, abs=0.01)
+    assert {e.rule for e in watchdog.events if e.action is Action.HOLD} >= {"neighbour"}

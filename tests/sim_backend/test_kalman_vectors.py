@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware import kalman as k
 from crazyarena.sim_backend.firmware.layout import (
     ST_ACC,
@@ -16,7 +17,6 @@ from crazyarena.sim_backend.firmware.layout import (
     STATE_SIZE,
 )
 from crazyarena.sim_backend.firmware.parameters import default_row
-from crazyarena.sim_backend.jit import kernel
 from tests.recorded import arrays, vector_files
 
 FILES = list(vector_files("meas_pos", "init_P", "rows_P", "attitude_reversion"))

@@ -21,6 +21,7 @@ from crazyarena.sim_backend.physics import fleet as kernels
 from crazyarena.sim_backend.physics.arena_plant import ARENA_BODY_SIZE
 from crazyarena.sim_backend.physics.scene import MARGIN, VEHICLE_HALF_LENGTH
 from crazyarena.sim_backend.trace import TRACE_SIZE
+from tests.optional import needs_pybullet
 
 RADIUS = 0.06  # m, of a vehicle; contacts begin some millimetres outside
 
@@ -218,7 +219,9 @@ crazyflies:
 """
 
 
-@pytest.mark.parametrize("backend", ["sim", pytest.param("pybullet", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "backend", ["sim", pytest.param("pybullet", marks=[pytest.mark.slow, needs_pybullet])]
+)
 def test_a_script_learns_of_contacts(backend):
     swarm = Crazyswarm(YAML, args=f"--backend {backend} --vis null")
     swarm.allcfs.takeoff(1.0, 2.0)
@@ -246,7 +249,9 @@ def test_no_contacts_with_perfect_tracking():
     assert swarm.allcfs.contacts == ()
 
 
-@pytest.mark.parametrize("backend", ["sim", pytest.param("pybullet", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "backend", ["sim", pytest.param("pybullet", marks=[pytest.mark.slow, needs_pybullet])]
+)
 def test_downwash_flag(backend):
     def lowest(flags):
         swarm = Crazyswarm(YAML, args=f"--backend {backend} --vis null {flags}")
@@ -274,7 +279,7 @@ def test_a_hundred_vehicles_fly_in_one_fleet():
     for i in range(100):
         fleet.set_param(i, "ctrlMel.mass", 0.0319)
         assert fleet.send(c.Takeoff(0.5, 1.0), i) == 0
-    fly(fleet, 1.7)
+    fly(fleet, 3.0)
     fleet.close()
     np.testing.assert_allclose(fleet.bodies[:, :2], np.array(grid)[:, :2], atol=0.01)
     np.testing.assert_allclose(fleet.bodies[:, 2], 0.5, atol=0.03)

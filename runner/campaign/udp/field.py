@@ -1,9 +1,9 @@
 """The far side of a campaign flight over UDP: vehicle, radio and cameras, in a process of its own.
 
-``python -m crazyarena.runner.campaign.udp.field`` talks as :mod:`.json_child` does. It
-is told ``fault``, ``seed`` and ``level_file``, answers with ``uri`` and ``endpoint``, is
-told ``go``, the host's time of the take-off, and answers at the end with what truly happened. It
-serves until nobody speaks to it any more.
+``python -m crazyarena.runner.campaign.udp.field`` talks as :mod:`.json_child`
+does. It is told ``fault``, ``seed``, ``level_file`` and ``radio``, answers with ``uri``,
+``endpoint`` and ``air``, is told ``go``, the host's time of the take-off, and answers at the end
+with what truly happened. It serves until nobody speaks to it any more.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ from crazyarena.safety.fence import Fence
 from crazyarena.safety.monitors import CRASHED, LOCKED
 from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.arena_world import sensor_noise
+from crazyarena.sim_backend.crazyradio.fleet import put_on_air
+from crazyarena.sim_backend.crazyradio.gateway import Gateway
 from crazyarena.sim_backend.crtp.faults import Faults
 from crazyarena.sim_backend.crtp.server import VirtualServer
 from crazyarena.sim_backend.physics.competition_step import B_VEL, P_MASS
@@ -198,9 +200,14 @@ def _serve(heard: queue.Queue[Message | None], tell: Tell) -> None:
     source = SimSource(clock, None, model, np.random.default_rng([seed, 2]))
     cameras = ArenaCameras(source, clock)
     publisher, endpoint = _publisher(clock)
+    links, gateway = None, None
+    if config["radio"]:
+        links, air = put_on_air(fleet.ids, clock, seed=seed)
+        gateway = Gateway(air, clock, port=0)
     server = VirtualServer(
         swarm,
         port=0,
+        links=links,
         faults=_RADIO,
         clock=clock,
         cameras=cameras,
@@ -221,10 +228,13 @@ def _serve(heard: queue.Queue[Message | None], tell: Tell) -> None:
         server.stop()
 
     threading.Thread(target=listen, name="listen", daemon=True).start()
-    tell({"uri": server.uris[0], "endpoint": endpoint})
+    air_at = "" if gateway is None else gateway.address
+    tell({"uri": server.uris[0], "endpoint": endpoint, "air": air_at})
     try:
         server.run()
     finally:
+        if gateway is not None:
+            gateway.close()
         server.close()
         publisher.close()
 

@@ -38,8 +38,8 @@ _LEAD = 0.3  # s, for word of the take-off to get around
 _GRACE = 25.0  # s
 
 
-def fly(fault: str, seed: int, level: str = "level0") -> Outcome:
-    """One flight, in real time.
+def fly(fault: str, seed: int, level: str = "level0", radio: bool = False) -> Outcome:
+    """One flight, in real time; ``radio`` over a virtual Crazyradio instead of UDP.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def fly(fault: str, seed: int, level: str = "level0") -> Outcome:
         folder = Path(name)
         level_file = folder / "level.yaml"
         level_file.write_text(dump_level(load_level(level, empty)))
-        config = {"fault": fault, "seed": seed, "level_file": str(level_file)}
+        config = {"fault": fault, "seed": seed, "level_file": str(level_file), "radio": radio}
         with (
             JsonChild(field_process.__name__, config, folder / "field.log") as field,
             JsonChild(station_process.__name__, config, folder / "station.log") as station,
@@ -118,8 +118,9 @@ def run_campaign(
     level: str = "level0",
     workers: int = 2,
     on_flight: Callable[[Outcome], None] | None = None,
+    radio: bool = False,
 ) -> list[Outcome]:
-    """Every fault with every seed, ``workers`` flights side by side.
+    """Every fault with every seed, ``workers`` flights side by side; ``radio`` as for :func:`fly`.
 
     Raises
     ------
@@ -132,7 +133,7 @@ def run_campaign(
     outcomes = []
     pool = ThreadPoolExecutor(max(1, workers), thread_name_prefix="flight")
     try:
-        flights = [(job, pool.submit(fly, *job, level)) for job in jobs]
+        flights = [(job, pool.submit(fly, *job, level, radio)) for job in jobs]
         for (name, seed), flight in flights:
             try:
                 outcomes.append(flight.result())

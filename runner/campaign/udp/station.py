@@ -42,6 +42,7 @@ from crazyarena.runner.trial.tracked_world import TrackedWorld
 from crazyarena.safety.events import SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import PID_BRAKING, Limits
+from crazyarena.sim_backend.crazyradio.environment import with_dongles
 
 # What befalls the contestant and the control loop.
 STRIKES = frozenset(
@@ -189,6 +190,7 @@ def _run(heard: queue.Queue[Message | None], tell: Tell) -> None:
         vehicle=VEHICLE,
         body=BODY,
         limits=_limits(level, plan),
+        environment=with_dongles(place["air"]) if place["air"] else None,
     )
     with contextlib.closing(rig), quiet_collector(), steady(rig.clock):
         _ready(rig, level, plan)

@@ -23,6 +23,7 @@ _YOUNG = 3600.0  # s; a folder without a lock may be one that is just being made
 class Box:
     """Folder tree of one contestant, in the machine's folder for temporaries.
 
+    ``bundle`` is a folder above the submission, a file, that is copied with all that is in it.
     It is locked while its owner lives; making one removes those whose owners were killed.
 
     Attributes
@@ -30,11 +31,12 @@ class Box:
     root: holds all of it. files: what the contestant may change, and in it
         submission: the copy, a folder or a .py file; work: where the contestant runs;
         home, tmp: for HOME and TMPDIR. given: empty, where ``files`` can be seen when a file
-        system of the contestant's own lies over it. output: what it prints.
+        system of the contestant's own lies over it; root, empty, is where a root of its own is
+        made. output: what it prints.
     size, count: bytes on disk and number of the files and folders that it is given.
     """
 
-    def __init__(self, submission: Path, limit: int) -> None:
+    def __init__(self, submission: Path, limit: int, bundle: Path | None = None) -> None:
         self.root = Path(tempfile.mkdtemp(prefix=_PREFIX))
         self._lock: int | None = _lock(self.root)
         remove_abandoned(self.root.parent, self.root.stat().st_mtime)
@@ -42,12 +44,13 @@ class Box:
         try:
             self.files = self._folder("files")
             self.given = self._folder("given")
+            self._folder("root")
             self.work, self.home, self.tmp = (
                 self._folder(f"files/{name}") for name in ("work", "home", "tmp")
             )
             self.output = self.root / "output.txt"
             self.output.touch(mode=0o600)
-            self.submission = self._copy(submission, limit)
+            self.submission = self._copy(submission, limit, bundle)
         except BaseException:
             self.remove()
             raise
@@ -59,14 +62,15 @@ class Box:
         self.count += 1
         return folder
 
-    def _copy(self, submission: Path, limit: int) -> Path:
-        entry = entry_file(submission)
-        single = not submission.is_dir()
+    def _copy(self, submission: Path, limit: int, bundle: Path | None) -> Path:
+        entry = submission if bundle is not None else entry_file(submission)
+        single = not submission.is_dir() and bundle is None
+        source = entry.parent if bundle is None else bundle
         # The name of the folder counts: entries import themselves by it.
-        target = self._folder("files/copy") / entry.parent.name
+        target = self._folder("files/copy") / source.name
         target.mkdir()
-        source = entry.parent
-        files = source.glob("*.py") if single else _files(source)
+        # What lies beside a single file is somebody else's.
+        files = [entry] if single else _files(source)
         size = 0
         for file in files:
             # A link could make the runner, who may read everything, copy something secret.
@@ -80,13 +84,16 @@ class Box:
             self.count += 1
             if size > limit:
                 raise InputError(
-                    f"{submission}: more than {limit // 2**20} MiB; too much for a submission"
+                    f"{submission}: more than {limit // 2**20} MiB with what lies beside it; too "
+                    "much for a submission. Put it into a folder of its own"
                 )
             place = target / file.relative_to(source)
             if not place.parent.exists():
                 place.parent.mkdir(parents=True)
                 self.count += len(place.relative_to(target).parents)
             shutil.copyfile(file, place)
+        if bundle is not None:
+            return target / entry.relative_to(bundle)
         return target / entry.name if single else target
 
     def give_to(self, uid: int, gid: int) -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import site
+import stat
+import subprocess
 import sys
 import sysconfig
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 from crazyarena.runner.contestant.sandbox import kernel, landlock, seccomp
@@ -21,7 +25,30 @@ _OWN = (
     "crazyarena.sim_backend",
     "crazyarena.mocap",
 )
-_SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/etc")
+_SYSTEM = (
+    "/usr",
+    "/bin",
+    "/sbin",
+    "/lib",
+    "/lib32",
+    "/lib64",
+    # Of /etc what libraries look up; no passwords, keys and settings of other programs.
+    "/etc/alternatives",
+    "/etc/fonts",
+    "/etc/group",
+    "/etc/hosts",
+    "/etc/ld.so.cache",
+    "/etc/ld.so.conf",
+    "/etc/ld.so.conf.d",
+    "/etc/localtime",
+    "/etc/matplotlibrc",
+    "/etc/mime.types",
+    "/etc/nsswitch.conf",
+    "/etc/os-release",
+    "/etc/passwd",
+    "/etc/python3",
+    "/etc/timezone",
+)
 _DEVICES = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")
 _MACHINE = (
     "/proc/self",
@@ -37,6 +64,13 @@ _MACHINE = (
     "/sys/fs/cgroup",
 )
 
+_TRY_MOUNT = f"""
+import ctypes, sys
+c = ctypes.CDLL(None)
+sys.exit(c.unshare({kernel.CLONE_NEWNS})
+         or c.mount(None, b"/", None, ctypes.c_ulong({kernel.MS_REC | kernel.MS_PRIVATE}), None))
+"""
+
 
 @dataclass
 class InForce:
@@ -47,12 +81,14 @@ class InForce:
     signals: bool = False
     calls: bool = False
     processes: bool = False
+    metadata: bool = False
+    counted: bool = False
     notes: list[str] = field(default_factory=list)
 
     @property
     def complete(self) -> bool:
         """Files, network and other processes are out of reach."""
-        return self.files and self.network and self.signals and self.calls
+        return not self.missing
 
     @property
     def missing(self) -> list[str]:
@@ -61,6 +97,8 @@ class InForce:
             "network": self.network,
             "signals to other processes": self.signals,
             "system calls": self.calls,
+            "permissions and times of others' files": self.metadata,
+            "the number of processes (super-user)": self.counted,
         }
         return [name for name, there in names.items() if not there]
 
@@ -79,9 +117,9 @@ def package_paths() -> list[Path]:
     for name in _OWN:
         spec = importlib.util.find_spec(name)
         if spec is not None:
-            # Where they are, not where the package has links to them.
-            paths += [Path(place).resolve() for place in spec.submodule_search_locations or ()]
-    return paths
+            paths += [Path(place) for place in spec.submodule_search_locations or ()]
+    # In a checkout they are links beside each other.
+    return list(dict.fromkeys([*paths, *(path.resolve() for path in paths)]))
 
 
 def readable() -> list[Path]:
@@ -89,33 +127,65 @@ def readable() -> list[Path]:
     return [*interpreter_paths(), *package_paths(), *(Path(p) for p in _SYSTEM)]
 
 
-def confine(box: Path, entered: list[str], in_bubblewrap: bool) -> InForce:
+def confine(box: Path, entered: list[str], in_bubblewrap: bool, own_root: bool) -> InForce:
     """Shut everything off from this process, for good.
 
     Parameters
     ----------
     box: the contestant's own files.
     entered: namespaces it is in.
+    own_root: it has a root of its own, without bubblewrap.
     """
     result = InForce()
+    with contextlib.suppress(OSError):
+        kernel.drop_capabilities()
     kernel.prctl(kernel.PR_SET_NO_NEW_PRIVS, 1)
     devices = [Path(p) for p in _DEVICES]
     files, tcp, signals = landlock.restrict(
         read=[Path(p) for p in _MACHINE], run=readable(), write=[box, *devices]
     )
     own_processes = "processes" in entered or in_bubblewrap
-    calls = seccomp.restrict(deny_kill=not (signals or own_processes))
+    own_files = in_bubblewrap or own_root
+    calls = seccomp.restrict(deny_kill=not (signals or own_processes), deny_metadata=not own_files)
     result.calls = calls
-    result.files = files or in_bubblewrap
+    result.files = files or own_files
+    result.metadata = calls or own_files
+    # The super-user's processes are not.
+    result.counted = os.getuid() != 0
     result.network = calls or "network" in entered or in_bubblewrap
     result.signals = signals or own_processes or calls
     result.processes = own_processes
     if in_bubblewrap:
         result.notes.append("bubblewrap")
+    if own_root:
+        result.notes.append("root of its own")
     if files:
         result.notes.append(f"Landlock {landlock.abi()}" + (" (TCP)" if tcp else ""))
     if calls:
-        result.notes.append("seccomp")
+        result.notes.append("seccomp" if own_files else "seccomp (no chmod, chown, utime)")
     if entered:
         result.notes.append(f"namespaces ({', '.join(entered)})")
     return result
+
+
+def open_to_others(own_root: bool) -> bool:
+    """Whether an unprivileged user can read the interpreter and this package; in a root of its
+    own the folders above them are open."""
+    return all(
+        parent.stat().st_mode & stat.S_IXOTH
+        for path in (*interpreter_paths(), *package_paths())
+        if path.exists()
+        for parent in ((path,) if own_root else (path, *path.parents))
+    )
+
+
+@cache
+def may_mount() -> bool:
+    """Whether this user may make mounts in a namespace of its own without one of users."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-I", "-S", "-c", _TRY_MOUNT], capture_output=True, timeout=20
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return done.returncode == 0

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import os
+import platform
+import struct
 from pathlib import Path
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -29,6 +31,15 @@ MS_REMOUNT = 32
 MS_BIND = 4096
 MS_REC = 16384
 MS_PRIVATE = 1 << 18
+MNT_DETACH = 2
+
+_ARM = platform.machine() == "aarch64"
+_PIVOT_ROOT, _CAPSET = (41, 91) if _ARM else (155, 126)
+_MOUNT_SETATTR = 442
+_RECURSIVE = 0x8000
+_ATTR_RDONLY, _ATTR_NOSUID = 1, 2
+_CAPABILITY_VERSION = 0x20080522
+_HERE = -100
 
 
 def _checked(result: int) -> int:
@@ -63,3 +74,28 @@ def syscall(number: int, *arguments: object) -> int:
     """Call any system call; raises OSError."""
     values = [ctypes.c_long(a) if isinstance(a, int) else a for a in arguments]
     return _checked(_LIBC.syscall(ctypes.c_long(number), *values))
+
+
+def pivot_root(new: Path) -> None:
+    """Make ``new``, a mount, the root of this process's mount namespace; the old one is gone.
+
+    Raises OSError.
+    """
+    os.chdir(new)
+    dot = ctypes.c_char_p(b".")
+    syscall(_PIVOT_ROOT, dot, dot)
+    _checked(_LIBC.umount2(dot, ctypes.c_int(MNT_DETACH)))
+    os.chdir("/")
+
+
+def read_only(place: Path) -> None:
+    """Make a mount and all below it read-only (Linux 5.12 or later); raises OSError."""
+    attributes = struct.pack("<4Q", _ATTR_RDONLY | _ATTR_NOSUID, 0, 0, 0)
+    path = ctypes.c_char_p(os.fsencode(place))
+    syscall(_MOUNT_SETATTR, _HERE, path, _RECURSIVE, ctypes.c_char_p(attributes), 32)
+
+
+def drop_capabilities() -> None:
+    """Give up every capability of this process; raises OSError."""
+    head = struct.pack("<Ii", _CAPABILITY_VERSION, 0)
+    syscall(_CAPSET, ctypes.c_char_p(head), ctypes.c_char_p(bytes(24)))

@@ -12,13 +12,16 @@ _MIB = 1024 * 1024
 class Limits:
     """Limits of one contestant.
 
-    address_space, file_size: bytes, of each process and file; cpu: s of each process;
+    address_space, file_size: bytes, of each process and file; memory: bytes of all its processes
+    and of its file system in memory together, looked at a few times a second;
+    cpu: s of each process;
     processes: at once; open_files: of each process; disk, files: bytes in, and number of, all
     its files and folders beyond those of the submission; copy_size: bytes a submission may have;
     make_timeout, hook_timeout: s of wall time for the constructor and the episode hooks.
     """
 
     address_space: int = 4096 * _MIB
+    memory: int = 4096 * _MIB
     cpu: int = 1800
     processes: int = 64
     file_size: int = 64 * _MIB

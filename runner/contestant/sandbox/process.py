@@ -6,32 +6,34 @@ import contextlib
 import json
 import os
 import pickle
+import secrets
 import select
 import signal
 import socket
-import stat
 import subprocess
 import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crazyarena.errors import CrazyarenaError, InputError
 from crazyarena.levels.schema import Level
+from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.dialogue import Answer, Question
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.contestant.sandbox import bubblewrap, quota, wire
 from crazyarena.runner.contestant.sandbox.box import Box
-from crazyarena.runner.contestant.sandbox.confine import interpreter_paths, package_paths, readable
+from crazyarena.runner.contestant.sandbox.confine import may_mount, open_to_others, readable
 from crazyarena.runner.contestant.sandbox.limits import Limits
-from crazyarena.runner.contestant.submission import entry_file, submission_hash
+from crazyarena.runner.contestant.submission import check_size, entry_file, submission_hash
 
 _NOBODY = 65534
 _START_TIMEOUT = 60.0  # s, for the interpreter to come up
+_SENDING = 1.0  # s, for a question to find room in the channel
 _LOOK = 0.25  # s, between looks at how many files there are, while nothing else happens
 _MIB = 2**20
 _THREADS = (
@@ -71,24 +73,36 @@ class Sandboxed:
         self, submission: Path, limits: Limits | None = None, *, require: bool = False
     ) -> None:
         self.path = submission.expanduser().resolve()
-        self._shown = entry_file(self.path)
-        self.digest = submission_hash(self.path)
         self._limits = limits or Limits()
         self._step: int | None = None
+        self._ticket = 0
         self._asked_at = 0.0
+        self._learned_at: float | None = None
         self._inner: int | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: socket.socket | None = None
         self._files: int | None = None
         self._quota: subprocess.Popen[str] | None = None
-        self._box = Box(self.path, self._limits.copy_size)
+        self._shown, self.digest, self._box = self._copied()
         try:
             self._start()
             self.description = self._await_ready(require)
-            self._request("load", None, self._limits.make_timeout, "importing the submission")
+            self._request(
+                "load", self._loading(), self._limits.make_timeout, "importing the submission"
+            )
         except BaseException:
             self.close()
             raise
+
+    def _copied(self) -> tuple[Path, str, Box]:
+        """File to name in messages, digest, and the box with a copy of the submission."""
+        shown = entry_file(self.path)
+        check_size(self.path, self._limits.copy_size, self._limits.files)
+        return shown, submission_hash(self.path), Box(self.path, self._limits.copy_size)
+
+    def _loading(self) -> object:
+        """What its process has to know to load it."""
+        return None
 
     @property
     def announcement(self) -> str:
@@ -111,46 +125,80 @@ class Sandboxed:
         track = level.track.model_copy(update={"gates": still})
         public = level.model_copy(update={"seed": 0, "track": track})
         payload = (obs, public, start)
+        if self._step is not None:
+            # An earlier episode ended without the answer to its last question.
+            self.wait(self._limits.make_timeout)
         self._request("make", payload, self._limits.make_timeout, "Controller(...)")
 
     def ask(self, question: Question) -> None:
         self._step = question.step
+        # Told to nobody but in the question: an answer that bears it was made to this one.
+        self._ticket = secrets.randbits(62)
+        self._learned_at = None
         self._asked_at = time.perf_counter()
-        self._send("ask", question)
+        self._send("ask", (self._ticket, question))
 
     def wait(self, timeout: float) -> Answer | None:
         if self._step is None:
             return None
-        try:
-            message = self._receive(timeout)
-        except _Dead as error:
-            return self._failure(str(error))
-        except wire.ChannelError as error:
-            self.kill()
-            return self._failure(f"its process wrote garbage to the runner: {error}")
-        if message is None:
-            return None
-        seconds = time.perf_counter() - self._asked_at
-        if isinstance(message, wire.Text) and message.kind == wire.FAILED:
-            if message.number == self._step:
-                self._step = None
-                return Answer(message.number, None, self._named(message.text), seconds)
-        elif isinstance(message, Answer) and message.step == self._step:
-            self._step = None
-            message.seconds = seconds
-            return message
-        self.kill()
-        return self._failure("its process sent an answer that was not asked for")
+        left = timeout
+        while True:
+            began = time.perf_counter()
+            try:
+                message = self._receive(left)
+            except _Dead as error:
+                return self._failure(str(error))
+            except wire.ChannelError as error:
+                self.kill()
+                return self._failure(f"its process wrote garbage to the runner: {error}")
+            if message is None:
+                return None
+            now = time.perf_counter()
+            if not self._is_asked_for(message):
+                self.kill()
+                return self._failure("its process sent an answer that was not asked for")
+            if not isinstance(message, wire.Text) or message.kind != wire.LEARNED:
+                return self._answer(message, now)
+            self._learned_at = now
+            left = max(0.0, left - (now - began))
+
+    def _is_asked_for(self, message: wire.Message) -> bool:
+        if isinstance(message, Answer | wire.LsyAnswer):
+            return message.step == self._ticket
+        if not isinstance(message, wire.Text) or message.number != self._ticket:
+            return False
+        return message.kind == wire.FAILED or (
+            message.kind == wire.LEARNED and self._learned_at is None
+        )
+
+    def _answer(self, message: wire.Message, now: float) -> Answer:
+        """With the times that passed here; the contestant is not asked for them."""
+        step, self._step = self._step or 0, None
+        learned = self._asked_at if self._learned_at is None else self._learned_at
+        seconds, learning = now - self._asked_at, learned - self._asked_at
+        if isinstance(message, wire.Text):
+            text = self._named(message.text)
+            return Answer(step, None, text, seconds, learn_seconds=learning)
+        if isinstance(message, wire.LsyAnswer):
+            message.step, message.seconds = step, seconds
+            # What it says of its own times cannot be more than passed here.
+            message.command_seconds = min(message.command_seconds, seconds)
+            message.callback_seconds = min(message.callback_seconds, seconds)
+            return cast(Answer, message)  # a contract's own kind, which its subclass asks for
+        assert isinstance(message, Answer)
+        # Of a question that asks for no command, nothing but the learning was done.
+        command = now - learned if message.asked is not None else 0.0
+        return Answer(step, message.asked, None, seconds, command, learning)
 
     def hook(self, name: str) -> tuple[float, str | None]:
         started = time.perf_counter()
         try:
             self._send("hook", name)
             message = self._receive(self._limits.hook_timeout)
-            if self._step is not None and not isinstance(message, int | None):
-                # The run ended before its last question was answered.
-                self._step = None
+            # The run may have ended before its last question was answered.
+            while self._is_late(message):
                 message = self._receive(self._limits.hook_timeout)
+            self._step = None
         except (_Dead, wire.ChannelError) as error:
             return time.perf_counter() - started, f"{name}: {error}{self._last_words()}"
         seconds = time.perf_counter() - started
@@ -161,6 +209,16 @@ class Sandboxed:
             self.kill()
             return seconds, f"{name}: its process sent something else"
         return seconds, self._named(message.text) or None
+
+    def _is_late(self, message: wire.Message | None) -> bool:
+        """Whether it belongs to the last question; at most two do."""
+        if self._step is None or message is None or not self._is_asked_for(message):
+            return False
+        if isinstance(message, wire.Text) and message.kind == wire.LEARNED:
+            self._learned_at = time.perf_counter()
+        else:
+            self._step = None
+        return True
 
     def close(self) -> None:
         """Kill the process with all it started and delete its files; idempotent."""
@@ -202,8 +260,8 @@ class Sandboxed:
         box, limits = self._box, self._limits
         bwrap = bubblewrap.program()
         root = os.getuid() == 0
-        # bubblewrap shows the interpreter to everybody, wherever it is.
-        drop = root and (bwrap is not None or _open_to_others())
+        # bubblewrap and a root of its own show the interpreter to everybody, wherever it is.
+        drop = root and (bwrap is not None or open_to_others(MOUNT and may_mount()))
         user = _NOBODY if drop else os.getuid()
         if drop:
             box.give_to(_NOBODY, _NOBODY)
@@ -268,29 +326,29 @@ class Sandboxed:
         if require and not report["complete"]:
             raise SandboxError(
                 "--require-sandbox: this machine does not shut off "
-                f"{', '.join(report['missing'])}; install bubblewrap, or use a kernel with "
-                "Landlock and seccomp"
+                f"{', '.join(report['missing'])}; install bubblewrap, or allow "
+                "namespaces of users, or use a kernel with Landlock and seccomp"
             )
         notes = list(report["notes"])
         if os.getuid() == 0 and report["processes_limited"]:
             notes.append("unprivileged user")
         if not report["processes_limited"]:
             notes.append("processes not counted (super-user)")
+        notes.append(f"memory {self._limits.memory // _MIB} MiB")
         disk = f"disk {self._limits.disk // _MIB} MiB"
-        if report["own_files"]:
-            notes.append(f"{disk} (file system of its own)")
-        else:
-            notes.append(f"{disk} (watched)")
-            self._watch_files()
+        own = "file system of its own" if report["own_files"] else "watched"
+        notes.append(f"{disk} ({own})")
+        self._watch(report["own_files"])
         limits = asdict(self._limits)
         return {
             "process": "its own",
+            "isolated": bool(report["complete"]),
             "sandbox": notes,
             "missing": report["missing"],
             "limits": limits,
         }
 
-    def _receive_ready(self) -> Answer | wire.Text | int | None:
+    def _receive_ready(self) -> wire.Message | None:
         """As :meth:`_receive`; its own folder comes along, before it runs foreign code."""
         assert self._channel is not None
         self._channel.settimeout(_START_TIMEOUT)
@@ -307,19 +365,23 @@ class Sandboxed:
             raise _Dead(self._obituary("it closed the channel"))
         return wire.decode(packet)
 
-    def _watch_files(self) -> None:
-        """Measure from a process beside this one: the file system sets no limit."""
+    def _watch(self, own_files: bool) -> None:
+        """Measure from a process beside this one what no limit of the system bounds."""
         assert self._process is not None
-        if self._files is not None:
+        box, limits = self._box, self._limits
+        if not own_files and self._files is not None:
             os.close(self._files)
             self._files = None
-        box, limits = self._box, self._limits
+        files = -1 if self._files is None else self._files
+        folder = "" if own_files else str(box.files)
         numbers = (box.size + limits.disk, box.count + limits.files, self._process.pid)
+        what = [folder, *map(str, (*numbers, limits.memory, files))]
         self._quota = subprocess.Popen(
-            [sys.executable, "-I", "-S", quota.__file__, str(box.files), *map(str, numbers)],
+            [sys.executable, "-I", "-S", quota.__file__, *what],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
+            pass_fds=() if self._files is None else (files,),
         )
 
     def _excess(self) -> str | None:
@@ -327,12 +389,14 @@ class Sandboxed:
         if self._files is not None:
             status = os.fstatvfs(self._files)
             limit = self._box.count + self._limits.files
-            return quota.words(0, status.f_files - status.f_ffree, 0, limit)
+            excess = quota.words(0, status.f_files - status.f_ffree, 0, limit)
+            if excess is not None:
+                return excess
         if self._quota is not None and self._quota.stdout is not None:
             # It speaks before it ends anybody.
             said, _, _ = select.select([self._quota.stdout], [], [], 0.0)
             if said:
-                return self._quota.stdout.readline().strip() or "nobody watches its disk any more"
+                return self._quota.stdout.readline().strip() or "nobody watches its memory any more"
         return None
 
     def _request(self, verb: str, payload: object, timeout: float, what: str) -> None:
@@ -354,16 +418,20 @@ class Sandboxed:
 
     def _named(self, text: str) -> str:
         """Tracebacks with the submission's own path instead of the copy's."""
-        return text.replace(str(self._box.submission), str(self.path))
+        return shown(text.replace(str(self._box.submission), str(self.path)))
 
     def _send(self, verb: str, payload: object) -> None:
         assert self._channel is not None
-        self._channel.settimeout(5.0)
-        # If the other end is gone the next receive says so, with the reason.
-        with contextlib.suppress(OSError):
+        self._channel.settimeout(_SENDING)
+        try:
             self._channel.send(pickle.dumps((verb, payload), protocol=5))
+        except TimeoutError:
+            # It was never asked a second question before it had answered the first.
+            self.kill()
+        except OSError:
+            pass  # if the other end is gone the next receive says so, with the reason
 
-    def _receive(self, timeout: float) -> Answer | wire.Text | int | None:
+    def _receive(self, timeout: float) -> wire.Message | None:
         assert self._channel is not None
         left = max(0.0, timeout)
         while True:
@@ -410,19 +478,9 @@ class Sandboxed:
         return Answer(step, None, f"step {step}: {text}{self._last_words()}", seconds)
 
     def _last_words(self) -> str:
-        words = self._box.last_output().strip()
+        words = shown(self._box.last_output()).strip()
         return f"\nIts last output:\n{words}" if words else ""
 
 
 class _Dead(Exception):
     """The contestant's process is no more."""
-
-
-def _open_to_others() -> bool:
-    """Whether an unprivileged user can read the interpreter and this package."""
-    return all(
-        parent.stat().st_mode & stat.S_IXOTH
-        for path in (*interpreter_paths(), *package_paths())
-        if path.exists()
-        for parent in (path, *path.parents)
-    )

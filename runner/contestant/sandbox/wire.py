@@ -17,16 +17,24 @@ import numpy as np
 from crazyarena.crazyswarm_compat import commands as cs
 from crazyarena.errors import CommandError
 from crazyarena.runner.contestant.contract_2022.command_check import NONE, Asked, checked
+from crazyarena.runner.contestant.contract_lsy.command_check import checked_command
+from crazyarena.runner.contestant.contract_lsy.dialogue import Drawing, LsyAnswer
 from crazyarena.runner.contestant.dialogue import Answer
 
 MAX_TEXT = 48 * 1024
 MAX_PACKET = MAX_TEXT + 64
 
-READY, PID, MADE, ANSWER, FAILED, HOOKED = b"R", b"P", b"M", b"A", b"E", b"H"
+READY, PID, MADE, ANSWER, FAILED, HOOKED, LEARNED = b"R", b"P", b"M", b"A", b"E", b"H", b"T"
+LSY = b"L"
 _ARGS = 13
 _ANSWER = struct.Struct(f"<cqbdd{_ARGS}d")
 _TEXT = struct.Struct("<cqdd")
 _NO_COMMAND = -128
+# Step, how many numbers the command has, finished, s of both calls, the command; then drawings,
+# each with a head (kind, number of points, colour, size) and its points.
+_LSY = struct.Struct(f"<cqbbdd{_ARGS}d")
+_DRAWN = struct.Struct("<cH5d")
+_DRAWN_KINDS = {"line": b"l", "points": b"p"}
 
 
 class ChannelError(Exception):
@@ -35,12 +43,15 @@ class ChannelError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A message with words in it: ready (what is in force), made, failed or hooked."""
+    """A message with words in it: ready (what is in force), made, failed, hooked or learned."""
 
     kind: bytes
     number: int
     seconds: float
     text: str
+
+
+Message = Answer | LsyAnswer | Text | int
 
 
 class _Verb:
@@ -58,17 +69,71 @@ def encode_text(kind: bytes, text: str, number: int = 0, seconds: float = 0.0) -
     return _TEXT.pack(kind, number, seconds, 0.0) + data
 
 
-def encode_answer(answer: Answer) -> bytes:
+def encode_answer(answer: Answer, ticket: int | None = None) -> bytes:
+    """``ticket``: what the question is known by on the channel; the number of its step if none."""
+    number = answer.step if ticket is None else ticket
     if answer.error is not None:
-        return encode_text(FAILED, answer.error, answer.step, answer.seconds)
+        return encode_text(FAILED, answer.error, number, answer.seconds)
     verb, args = _NO_COMMAND, [0.0] * _ARGS
     if answer.asked is not None:
         verb = answer.asked.verb
         values = _arguments(answer.asked.command)
         args[: len(values)] = values
-    return _ANSWER.pack(
-        ANSWER, answer.step, verb, answer.command_seconds, answer.learn_seconds, *args
-    )
+    return _ANSWER.pack(ANSWER, number, verb, answer.command_seconds, answer.learn_seconds, *args)
+
+
+def encode_lsy(answer: LsyAnswer, ticket: int | None = None) -> bytes:
+    """An answer of a controller of lsy_drone_racing; drawings that have no room are left out.
+
+    ``ticket``: as for :func:`encode_answer`.
+    """
+    number = answer.step if ticket is None else ticket
+    if answer.error is not None:
+        return encode_text(FAILED, answer.error, number, answer.seconds)
+    command = [] if answer.command is None else answer.command.tolist()
+    args = command + [0.0] * (_ARGS - len(command))
+    times = answer.command_seconds, answer.callback_seconds
+    packet = _LSY.pack(LSY, number, len(command), answer.finished, *times, *args)
+    for drawing in answer.drawings:
+        kind = _DRAWN_KINDS.get(drawing.kind, b"p")
+        head = _DRAWN.pack(kind, len(drawing.points), *drawing.rgba, drawing.size)
+        points = np.ascontiguousarray(drawing.points, np.float64).tobytes()
+        if len(packet) + len(head) + len(points) <= MAX_PACKET:
+            packet += head + points
+    return packet
+
+
+def _decode_lsy(packet: bytes) -> LsyAnswer:
+    _, step, size, finished, command_seconds, callback_seconds, *args = _LSY.unpack_from(packet)
+    if not (math.isfinite(command_seconds) and math.isfinite(callback_seconds)):
+        raise ChannelError("an answer with times that are not finite")
+    answer = LsyAnswer(step, finished=finished != 0)
+    answer.command_seconds = max(0.0, command_seconds)
+    answer.callback_seconds = max(0.0, callback_seconds)
+    if size not in (0, 4, _ARGS):
+        raise ChannelError(f"a command of {size} numbers")
+    if size:
+        try:
+            answer.command = checked_command(args[:size], size, step)
+        except CommandError as error:
+            raise ChannelError(str(error)) from None
+    at = _LSY.size
+    while at < len(packet):
+        if at + _DRAWN.size > len(packet):
+            raise ChannelError("a drawing that is cut off")
+        kind, count, red, green, blue, alpha, width = _DRAWN.unpack_from(packet, at)
+        at += _DRAWN.size
+        if at + 24 * count > len(packet):
+            raise ChannelError("a drawing that is cut off")
+        points = np.frombuffer(packet[at : at + 24 * count], np.float64)
+        numbers = (red, green, blue, alpha, width)
+        if not np.isfinite([*points, *numbers]).all():
+            raise ChannelError("a drawing that is none")
+        at += 24 * count
+        name = "line" if kind == b"l" else "points"
+        colour = (red, green, blue, alpha)
+        answer.drawings.append(Drawing(name, points.reshape(-1, 3), colour, width))
+    return answer
 
 
 def _arguments(command: cs.Command | None) -> list[float]:
@@ -100,7 +165,7 @@ def _contract_args(verb: int, a: tuple[float, ...]) -> list[Any]:
     return []
 
 
-def decode(packet: bytes) -> Answer | Text | int:
+def decode(packet: bytes) -> Message:
     """Read a contestant's message; an int is the pid of its process.
 
     Raises
@@ -122,7 +187,9 @@ def decode(packet: bytes) -> Answer | Text | int:
             except CommandError as error:
                 raise ChannelError(str(error)) from None
         return Answer(step, asked, None, 0.0, max(0.0, command_seconds), max(0.0, learn_seconds))
-    if kind in (READY, MADE, FAILED, HOOKED, PID) and len(packet) >= _TEXT.size:
+    if kind == LSY and len(packet) >= _LSY.size:
+        return _decode_lsy(packet)
+    if kind in (READY, MADE, FAILED, HOOKED, LEARNED, PID) and len(packet) >= _TEXT.size:
         _, number, seconds, _ = _TEXT.unpack_from(packet)
         if not math.isfinite(seconds):
             raise ChannelError("a message with a time that is not finite")

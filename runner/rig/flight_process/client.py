@@ -275,6 +275,7 @@ def connected(
     limits: Limits | None = None,
     real_time: bool = True,
     description: dict[str, object] | None = None,
+    environment: Mapping[str, str] | None = None,
     model: Vehicle | None = None,
     plant_log: bool = True,
 ) -> Rig:
@@ -285,6 +286,7 @@ def connected(
     uri: link of the vehicle, as cflib opens it.
     vehicle, body: id and name of the vehicle; the name is ``cf<id>`` by default.
     real_time: ask for real-time scheduling and locked memory there.
+    environment: of that process, this one's own by default.
     model: what vehicle it is, the default one if not given: its parameters are written.
     plant_log: have it tell of motors, accelerometer and voltage.
 
@@ -307,7 +309,8 @@ def connected(
             real_time,
             told_params(load_vehicle() if model is None else model),
             plant_log,
-        )
+        ),
+        environment,
     )
     try:
         # Both are compiled, while the other process connects.

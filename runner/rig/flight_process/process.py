@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 from crazyarena.clock import WallClock
@@ -39,12 +40,16 @@ class FlightProcess:
     refused: the first of what was posted that failed, or None.
     notes: what real-time privileges it was granted.
 
+    Parameters
+    ----------
+    environment: of the process, this one's own by default.
+
     Raises
     ------
     CrazyarenaError: whatever connecting raised over there.
     """
 
-    def __init__(self, setup: HardwareSetup) -> None:
+    def __init__(self, setup: HardwareSetup, environment: Mapping[str, str] | None = None) -> None:
         self.frames: list[PoseFrame] = []
         self.status = wire.Status(Telemetry(-math.inf), SourceStatus())
         self.lost: str | None = None
@@ -68,6 +73,7 @@ class FlightProcess:
                     [sys.executable, "-m", module, str(theirs.fileno())],
                     pass_fds=(theirs.fileno(),),
                     stdout=subprocess.DEVNULL,
+                    env=environment,
                 )
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)

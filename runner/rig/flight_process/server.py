@@ -204,8 +204,16 @@ def _say(text: str) -> None:
 def main(descriptor: int) -> None:
     """Serve the runner on the other end of a socket."""
     # The runner decides what Ctrl-C means. A closed terminal ends the runner, which is seen.
-    # Reading keys when the terminal is no longer ours must not suspend us.
-    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTTIN, signal.SIGTTOU):
+    # Reading keys when the terminal is no longer ours must not suspend us, nor may the keys that
+    # suspend and quit, which go to all programs of a terminal.
+    for number in (
+        signal.SIGINT,
+        signal.SIGHUP,
+        signal.SIGTTIN,
+        signal.SIGTTOU,
+        signal.SIGTSTP,
+        signal.SIGQUIT,
+    ):
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
     connection = socket.socket(fileno=descriptor)

@@ -15,12 +15,13 @@ from crazyarena.crazyswarm_compat.radio import RadioBackend, RadioOptions
 from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.crtp.server import VirtualServer
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
+from crazyarena.sim_backend.crtp.toc import Table
 
 
 class Hangar:
     """Virtual vehicles with ids 1, 2, ..., and what a test wants to know of them."""
 
-    def __init__(self, count, port, feed_rate=0.0, **faults):
+    def __init__(self, count, port, feed_rate=0.0, table=Table.CF21, **faults):
         self.fleet = ArenaFleet([[0.0, 0.7 * k, 0.0] for k in range(count)])
         # Compiled here, so that the server never stalls over it in flight.
         dry = ArenaFleet([[0.0, 0.0, 0.0]])
@@ -39,7 +40,9 @@ class Hangar:
             dry.send(command, 0)
             dry.advance(10)
         dry.emergency_watchdog(0)
-        self.server = VirtualServer(VirtualSwarm(self.fleet, feed_rate=feed_rate), port=port)
+        self.server = VirtualServer(
+            VirtualSwarm(self.fleet, feed_rate=feed_rate, table=table), port=port
+        )
         self.server.start()
         if faults:
             self.server.set_faults(**faults)

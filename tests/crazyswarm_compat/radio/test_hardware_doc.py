@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from crazyarena.crazyswarm_compat.config import load_crazyflies_1
+from crazyarena.sim_backend.crazyradio.environment import with_dongles
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENT = ROOT / "docs" / "hardware.md"
@@ -43,24 +44,42 @@ def test_the_python_example_uses_what_exists():
     compile(code, str(DOCUMENT), "exec")
 
 
+def free_ports():
+    """A UDP port that is free, as the one after it."""
+    while True:
+        port = free_port(socket.SOCK_DGRAM)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("127.0.0.1", port + 1))
+            except OSError:
+                continue
+            return port
+
+
 class Bench:
     """Runs command lines; the virtual vehicle that one starts stays until the next."""
 
     def __init__(self, folder):
         self.folder = folder
-        self.port = free_port(socket.SOCK_DGRAM)
+        self.port = free_ports()
         self.zenoh = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+        self.air = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
+        self.on_air = False
         self.vehicle = None
 
     def local(self, line):
         """The command line for the virtual vehicle and this test's ports."""
-        uri = f"udp://127.0.0.1:{self.port}"
-        line = line.replace("radio://0/80/2M/E7E7E7E701", uri).replace(":19850", f":{self.port}")
+        uris = [f"udp://127.0.0.1:{self.port + k}" for k in range(2)]
+        for k, uri in enumerate(uris):
+            if not self.on_air:
+                line = line.replace(f"radio://0/80/2M/E7E7E7E70{k + 1}", uri)
+            line = line.replace(f":{19850 + k}", f":{self.port + k}")
         line = line.replace("vicon --host 192.168.1.10", f"zenoh --host {self.zenoh}")
         line = line.replace("vicon:192.168.1.10", f"zenoh:{self.zenoh}")
-        line = line.replace("tcp/127.0.0.1:7447", self.zenoh)
-        if "hover.py" in line and "--mocap" in line and "--uri" not in line:
-            line += f" --uri {uri}"
+        line = line.replace("tcp/127.0.0.1:7447", self.zenoh).replace("127.0.0.1:19840", self.air)
+        line = line.replace("-- python", f"-- {sys.executable}")
+        if not self.on_air and "hover.py" in line and "--mocap" in line and "--uri" not in line:
+            line += f" --uri {','.join(uris)}"
         words = line.split()
         if words[0] == "crazyarena":
             words[:1] = [sys.executable, "-m", "crazyarena"]
@@ -70,15 +89,29 @@ class Bench:
     def run(self, line):
         if " virtual-cf" in line:
             self.stop()
-            command = self.local(f"{line} --port {self.port} --mocap-endpoint {self.zenoh}")
-            self.vehicle = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
+            self.on_air = " --radio" in line
+            port = self.air.partition(":")[2] if self.on_air else self.port
+            options = (
+                f"--{'radio-' if self.on_air else ''}port {port} --mocap-endpoint {self.zenoh}"
             )
-            assert self.vehicle.stdout.readline().startswith("udp://")
+            command = self.local(f"{line} {options}")
+            self.vehicle = subprocess.Popen(
+                command,
+                cwd=self.folder,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+            for _ in range(2):
+                assert self.vehicle.stdout.readline().startswith(("udp://", "radio://0/80/2M/"))
+            if self.on_air:
+                assert self.vehicle.stdout.readline().startswith("air ")
             return None
         return subprocess.run(
             self.local(line),
             cwd=self.folder,
+            # What is written for a real radio flies over the virtual one.
+            env=with_dongles(self.air) if self.on_air else None,
             capture_output=True,
             text=True,
             timeout=120,
@@ -95,10 +128,9 @@ class Bench:
 
 @pytest.fixture
 def bench(tmp_path):
-    """The example's folder with the document's vehicle list."""
+    """The example's folder as it is shipped."""
     folder = tmp_path / "examples"
     shutil.copytree(ROOT / "examples" / "crazyswarm", folder)
-    (folder / "crazyflies.yaml").write_text(blocks("yaml")[0], encoding="utf-8")
     bench = Bench(folder)
     yield bench
     bench.stop()
@@ -107,8 +139,8 @@ def bench(tmp_path):
 @pytest.mark.slow
 def test_every_command_line_works(bench):
     lines = [line for block in blocks("sh") for line in block.splitlines() if line.strip()]
-    assert sum(" virtual-cf" in line for line in lines) == 2
-    assert sum("hover.py" in line for line in lines) == 4
+    assert sum(" virtual-cf" in line for line in lines) == 3
+    assert sum("hover.py" in line for line in lines) == 5
     flights = 0
     for line in lines:
         done = bench.run(line)
@@ -125,15 +157,17 @@ def test_every_command_line_works(bench):
             assert "never seen" not in done.stdout, report
         else:
             assert done.returncode == 0, report
-            assert "cf1 landed" in done.stdout, report
+            said = "no collision" if "swap.py" in line else "cf2 landed"
+            assert said in done.stdout, report
+            assert "Warning: cf" not in done.stderr, report
             flights += 1
         time.sleep(0.2)
-    assert flights == 4
+    assert flights == 6
 
 
 @pytest.mark.slow
 def test_a_script_that_fails_in_flight_lands_its_vehicle(bench):
-    bench.run("crazyarena virtual-cf --count 1")
+    bench.run("crazyarena virtual-cf --fleet crazyflies.yaml")
     (bench.folder / "broken.py").write_text(
         "from pathlib import Path\n"
         "from pycrazyswarm import Crazyswarm\n"
@@ -143,7 +177,8 @@ def test_a_script_that_fails_in_flight_lands_its_vehicle(bench):
         "raise ValueError('a bug')\n",
         encoding="utf-8",
     )
-    line = "python broken.py --uri udp://127.0.0.1:19850 --mocap zenoh:tcp/127.0.0.1:7447"
+    links = "udp://127.0.0.1:19850,udp://127.0.0.1:19851"
+    line = f"python broken.py --uri {links} --mocap zenoh:tcp/127.0.0.1:7447"
     done = bench.run(line)
     assert done.returncode == 1
     assert "a bug" in done.stderr

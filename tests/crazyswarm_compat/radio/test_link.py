@@ -25,6 +25,7 @@ from crazyarena.errors import BackendError, CommandError, InputError
 from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.crtp.server import VirtualServer
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
+from crazyarena.sim_backend.crtp.toc import Table
 from crazyarena.types import Pose
 from tests.crazyswarm_compat.radio.conftest import Hangar
 from tests.waiting import eventually
@@ -84,7 +85,7 @@ class TestConnecting:
             second = RadioBackend(hangar.config(), WallClock(), options)
             second.close()
             assert [path.stat().st_mtime_ns for path in stored] == before
-            # 271 parameters are read, but their descriptions are not.
+            # Their descriptions are not read again.
             assert hangar.server.swarm.vehicles[0].counters.received - received[0] < 450
         finally:
             hangar.close()
@@ -209,8 +210,7 @@ class TestParameters:
         assert stored == [255, 127, 0]
 
     def test_collision_avoidance_that_the_firmware_lacks(self, world):
-        # The stock build leaves it out.
-        _, backend = world(fed=False)
+        _, backend = world(fed=False, table=Table.RECORDED)
         assert "colAv.enable" not in backend.param_names(1)
         with pytest.raises(BackendError, match=r"cf1: .* without collision avoidance"):
             backend.send(c.CollisionAvoidance(True), 1)
@@ -242,7 +242,8 @@ class TestTelemetry:
         start = time.perf_counter()
         time.sleep(1.0)
         count = backend.statistics(1).log_packets - before
-        assert count / (time.perf_counter() - start) == pytest.approx(50, rel=0.3)
+        # The estimate, and the body rates as often.
+        assert count / (time.perf_counter() - start) == pytest.approx(2 * 50, rel=0.3)
         assert backend.telemetry(1).battery is None
         with pytest.raises(InputError, match="state_rate"):
             RadioOptions(state_rate=1000.0)
@@ -389,3 +390,32 @@ def test_motors_and_accelerometer_are_told_where_they_are_asked_for():
     assert told.acceleration == pytest.approx([0.0, 0.0, 1.0], abs=0.05)
     assert 3.0 < told.battery < 4.3
     assert told.supervisor is not None
+
+
+class TestCollisionAvoidance:
+    def test_the_parameter_alone_lets_a_vehicle_hear_the_others(self, world):
+        # Crazyswarm2 has no call for it.
+        _, backend = world(2, fed=False)
+        backend.send(c.SetParam("colAv.enable", 1), 1)
+        assert [backend._links[k].hears_peers for k in (1, 2)] == [True, False]
+        backend.set_param(1, "colAv.enable", 0)
+        assert not backend._links[1].hears_peers
+
+    def test_two_vehicles_that_fly_at_each_other_over_the_air_keep_apart(self, world):
+        hangar, backend = world(2)
+        backend.prepare()
+        backend.send(c.Takeoff(0.6, 1.5))
+        eventually(lambda: min(hangar.position(k)[2] for k in (1, 2)) > 0.5, 10.0)
+        backend.send(c.CollisionAvoidance(True, radii=(0.15, 0.15, 0.45)))
+        eventually(lambda: hangar.fleet.get_param(1, "colAv.enable") == 1, 5.0)
+        assert hangar.fleet.get_param(0, "colAv.ellipsoidZ") == pytest.approx(0.45)
+        first, second = hangar.position(1).copy(), hangar.position(2).copy()
+        backend.send(c.GoTo(second, 0.0, 3.0), 1)
+        backend.send(c.GoTo(first, 0.0, 3.0), 2)
+        nearest = np.inf
+        deadline = time.monotonic() + 5.0
+        while time.monotonic() < deadline:
+            gap = hangar.position(1) - hangar.position(2)
+            nearest = min(nearest, float(np.linalg.norm(gap / np.array([0.15, 0.15, 0.45]))))
+            time.sleep(0.02)
+        assert nearest > 1.6  # 2 is touching ellipsoids; head on it would be 0

@@ -65,6 +65,58 @@ def test_survey_writes_the_track_or_refuses_it(endpoint, tmp_path):
     assert not track.exists()
 
 
+def served(protocol: str) -> tuple[list[str], list[str]]:
+    """Arguments of the server of a protocol, and of the client that finds it."""
+    port = free_port()
+    if protocol == "zenoh":
+        where = f"tcp/127.0.0.1:{port}"
+        return ["--listen", where], ["zenoh", "--host", where]
+    ours = ["--port", str(port)]
+    if protocol == "natnet":
+        data = str(free_port())
+        client = ["--host", "127.0.0.1", "--option", f"port_command={port}"]
+        multicast = ["--multicast", "--y-up", "--data-port", data]
+        client += ["--option", "interface_ip=127.0.0.1", "--option", "axes=y-up"]
+        return [*ours, *multicast], ["optitrack", *client]
+    if protocol == "vrpn":
+        return ours, [
+            "vrpn",
+            "--host",
+            f"tcp://localhost:{port}",
+            "--option",
+            "client=motioncapture",
+        ]
+    return ours, ["qualisys", "--host", "127.0.0.1", "--option", f"port={port}"]
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("protocol", ["qualisys", "natnet", "vrpn", "zenoh"])
+def test_check_and_survey_over_every_protocol_through_the_packages_own_client(protocol, tmp_path):
+    ours, theirs = served(protocol)
+    server = subprocess.Popen(
+        [*COMMAND, "mocap-server", "--protocol", protocol, *ours, "--rate", "100",
+         "--body", "cf1", "--level", "level0", "--seconds", "100"],
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert server.stdout is not None
+        assert "serving cf1, gate1" in server.stdout.readline()
+        bodies = ["cf1", *(f"gate{i}" for i in range(1, 5)), *(f"obstacle{i}" for i in range(1, 5))]
+        asked = [word for body in bodies for word in ("--body", body)]
+        result = run("mocap-check", *theirs, "--seconds", "3", *asked)
+        assert not any("is missing in" in line for line in result.stdout.splitlines()), (
+            result.stdout
+        )
+        assert not any("not visible" in line for line in result.stdout.splitlines())
+        track = tmp_path / "track.json"
+        result = run("mocap-survey", "level0", *theirs, "--output", str(track))
+        assert result.returncode == 0, result.stdout + result.stderr
+        assert set(read_track(track)) == set(bodies) - {"cf1"}
+    finally:
+        server.kill()
+        server.wait(5.0)
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

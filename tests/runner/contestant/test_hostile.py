@@ -1,10 +1,13 @@
 """Submissions that mean harm: each ends safely, and none gets at what is not its own."""
 
 import os
+import re
+import signal
 import socket
 import struct
 import tempfile
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +16,19 @@ import pytest
 from crazyarena.errors import InputError
 from crazyarena.levels import load_level
 from crazyarena.levels.draw import LevelRandom
-from crazyarena.runner.contestant.compute import parse_compute
+from crazyarena.runner.contestant.compute import Budget, Compute, parse_compute
+from crazyarena.runner.contestant.in_process import InProcess
 from crazyarena.runner.contestant.sandbox import bubblewrap, process
 from crazyarena.runner.contestant.sandbox.limits import Limits
 from crazyarena.runner.contestant.sandbox.process import Sandboxed
+from crazyarena.runner.contestant.submission import Submission
 from crazyarena.runner.trial.control_loop import Deadlines
 from crazyarena.runner.trial.trial import Trial
 from tests.runner.fakes import PathWorld, controller
 from tests.runner.hostile import DENIED, FATAL, FILLERS, IMPORTS
 
 PLACE = (-0.5, 2.9, 0.75)
-QUICK = ("raise", "os_exit", "segfault", "garbage", "infinite_loop")
+QUICK = ("raise", "os_exit", "segfault", "garbage", "infinite_loop", "answers_in_advance")
 LIMITS = Limits(make_timeout=20.0, hook_timeout=5.0, disk=64 * 2**20, files=2000)
 # One gate, out of range for ever; what stands for it in memory nobody but the referee may have.
 LEVEL = load_level(
@@ -410,3 +415,153 @@ def test_the_traceback_and_the_last_output_are_kept(tmp_path):
     assert "AttributeError" in episode.error
     assert "pilot.py" in episode.error
     assert Path(episode.error.split('File "')[1].split('"')[0]).name == "pilot.py"
+
+
+@pytest.mark.parametrize("kind", [KINDS[2]], indirect=True)
+def test_a_root_of_its_own_needs_no_bubblewrap(tmp_path, good, kind):
+    contestant = Sandboxed(good, LIMITS)
+    try:
+        if "watched" in contestant.announcement:
+            pytest.skip("no mounts here")
+        assert "root of its own" in contestant.announcement
+        assert contestant.description["missing"] == []
+        assert contestant.description["isolated"]
+    finally:
+        contestant.close()
+
+
+def test_a_single_file_brings_only_itself(tmp_path):
+    (tmp_path / "entry").mkdir()
+    (tmp_path / "entry" / "two.py").write_text("TRICK = 42\n")
+    step = (
+        "print('beside me:', sorted(os.listdir(os.path.dirname(__file__))), flush=True)\n"
+        "        return Command.NONE, []"
+    )
+    _, printed = fly(write(tmp_path / "entry", step))
+    assert "beside me: ['pilot.py']" in printed
+
+
+def test_a_sparse_terabyte_is_refused_by_its_size(tmp_path):
+    write(tmp_path, "return Command.NONE, []").rename(tmp_path / "edit_this.py")
+    with open(tmp_path / "data.bin", "wb") as stream:
+        stream.truncate(1 << 40)
+    for load in (lambda: Sandboxed(tmp_path), lambda: Submission(tmp_path, tmp_path / "work")):
+        with pytest.raises(InputError, match=r"data\.bin: 1 TiB; .* 1 GiB\. Leave out"):
+            load()
+    os.unlink(tmp_path / "data.bin")
+    with open(tmp_path / "edit_this.py", "ab") as stream:
+        stream.truncate(1 << 40)
+    with pytest.raises(InputError, match=r"edit_this\.py: 1 TiB; .* 16 MiB"):
+        Sandboxed(tmp_path)
+
+
+def test_times_are_the_judges(tmp_path):
+    """A contestant that claims to have learned in no time is timed all the same."""
+    file = tmp_path / "pilot.py"
+    file.write_text(
+        IMPORTS
+        + controller(step="clock.sleep(0.02)\n        return Command.NONE, []")
+        + "    def interStepLearn(self, *arguments):\n        clock.sleep(0.05)\n"
+        + "clock.perf_counter = lambda: 0.0\n"
+    )
+    episode, _ = fly(file)
+    assert episode.error is None
+    assert episode.interstep_learning_average >= 0.05
+    assert episode.compute_ms["p50"] >= 20.0
+
+
+def test_a_contestant_may_not_use_up_everybodys_day(tmp_path):
+    file = write(tmp_path, "clock.sleep(0.1)\n        return Command.NONE, []")
+    for budget, words in (
+        (Budget(step=0.05), r"step 0: no answer within 0.05 s of wall time"),
+        (Budget(episode=0.25), r"in this episode; 0.25 s are allowed"),
+        (Budget(trial=0.25), r"in this trial; 0.25 s are allowed"),
+    ):
+        contestant = Sandboxed(file, LIMITS)
+        try:
+            deadlines = Deadlines(compute=Compute("free", budget=budget))
+            trial = Trial(
+                LEVEL, contestant, PathWorld(lambda t: PLACE), deadlines=deadlines, episodes=1
+            )
+            episode = trial.run().episodes[0]
+        finally:
+            contestant.close()
+        assert episode.termination == "CONTROLLER TIMEOUT"
+        assert re.search(words, episode.error)
+
+
+@pytest.mark.parametrize(
+    "hang",
+    [
+        "while True:\n            pass",
+        "clock.sleep(1000)",
+        "while True:\n            try:\n                clock.sleep(1000)\n"
+        "            except BaseException:\n                if self.calls.append(0) or"
+        " len(self.calls) > 3:\n                    raise",
+    ],
+)
+def test_what_hangs_in_this_process_is_interrupted(tmp_path, hang):
+    """Without a sandbox; even if it catches what interrupts it, once or twice."""
+    # Somebody else's, as of a limit for this test.
+    alarm = signal.getsignal(signal.SIGALRM), signal.getitimer(signal.ITIMER_REAL)[0] > 0
+    contestant = InProcess(Submission(write(tmp_path / "entry", hang), tmp_path / "work"))
+    try:
+        deadlines = Deadlines(compute=Compute("free", budget=Budget(step=0.2)))
+        trial = Trial(
+            LEVEL, contestant, PathWorld(lambda t: PLACE), deadlines=deadlines, episodes=1
+        )
+        episode = trial.run().episodes[0]
+    finally:
+        contestant.close()
+    assert episode.termination == "CONTROLLER TIMEOUT"
+    assert "step 0: no answer within 0.2 s" in episode.error
+    assert "pilot.py" in episode.error
+    assert (signal.getsignal(signal.SIGALRM), signal.getitimer(signal.ITIMER_REAL)[0] > 0) == alarm
+
+
+@pytest.mark.parametrize("where", ["in process", "sandbox"])
+def test_what_it_says_is_shown_and_not_obeyed(tmp_path, where):
+    code = r"raise RuntimeError('\x1b[2J\x1b]0;owned\x07 [bold red]markup[/] \ud800 \u202e \x9b')"
+    file = write(tmp_path / "entry", code)
+    if where == "sandbox":
+        episode, _ = fly(file)
+    else:
+        contestant = InProcess(Submission(file, tmp_path / "work"))
+        trial = Trial(LEVEL, contestant, PathWorld(lambda t: PLACE), episodes=1)
+        episode = trial.run().episodes[0]
+        contestant.close()
+    assert episode.error.isprintable() or "\n" in episode.error
+    assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202e\ud800]", episode.error)
+    assert r"\x1b[2J" in episode.error
+    episode.error.encode()
+
+
+@pytest.mark.parametrize(
+    "hoard",
+    [
+        # Too much for all of them together, for none alone.
+        "for _ in range(6):\n            if os.fork() == 0:\n"
+        "                hog = np.ones(6 << 20)\n                clock.sleep(60)\n"
+        "        clock.sleep(60)",
+        # What is shared counts once, but it counts.
+        "import mmap\n        hog = mmap.mmap(-1, 300 << 20)\n"
+        "        hog.write(bytes(300 << 20))\n        clock.sleep(60)",
+        # Files in its own file system, and as much beside them.
+        "for k in range(3):\n            open(f'{k}', 'wb').write(bytes(20 << 20))\n"
+        "        hog = np.ones(23 << 20)\n        clock.sleep(60)",
+    ],
+)
+def test_memory_is_limited_in_all(tmp_path, hoard):
+    file = write(tmp_path / "entry", hoard)
+    contestant = Sandboxed(file, replace(LIMITS, memory=230 << 20))
+    try:
+        deadlines = Deadlines(compute=Compute("free"))
+        trial = Trial(
+            LEVEL, contestant, PathWorld(lambda t: PLACE), deadlines=deadlines, episodes=1
+        )
+        episode = trial.run().episodes[0]
+    finally:
+        contestant.close()
+    if "watched" in contestant.announcement and "open(" in hoard:
+        pytest.skip("no file system in memory here")
+    assert "more than 230 MiB of memory in all" in episode.error

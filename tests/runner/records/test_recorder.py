@@ -11,8 +11,7 @@ from crazyarena.crazyswarm_compat import commands as cs
 from crazyarena.errors import InputError
 from crazyarena.runner.contestant.contract_2022.command_check import Asked
 from crazyarena.runner.judging import verdict_row
-from crazyarena.runner.records import export
-from crazyarena.runner.records import validate_flights
+from crazyarena.runner.records import export, validate_flights
 from crazyarena.runner.records.recorder import SENT_KINDS, Recorder
 from tests.runner.fakes import rows
 from tests.waiting import eventually

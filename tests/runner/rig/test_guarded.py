@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import signal
@@ -43,7 +44,7 @@ ZERO = np.zeros(3)
 @pytest.fixture
 def swarm(tmp_path, monkeypatch):
     """Factory of guarded swarms of two vehicles; they are closed in the end."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("CRAZYARENA_RUNTIME_DIR", str(tmp_path))
     made = []
 
     def make(guard="--guard level0", flags="--sim", yaml=TWO, api=crazyswarm1):
@@ -210,7 +211,7 @@ def test_emergency_stop_from_another_shell(swarm):
 
 
 def _folder():
-    return Path(os.environ["XDG_RUNTIME_DIR"]) / f"crazyarena-{os.getuid()}"
+    return Path(os.environ["CRAZYARENA_RUNTIME_DIR"]) / f"crazyarena-{os.getuid()}"
 
 
 def test_interrupt_lands(swarm):
@@ -257,7 +258,7 @@ def test_crazyswarm2(swarm):
     guarded.timeHelper.sleep(2.5)
     assert np.linalg.norm(np.array(left.get_position()) - [-1.0, 1.0, 1.0]) < 0.1
     assert not interventions(guarded)
-    assert guarded.allcfs.paramTypeDict["left"]["stabilizer.controller"]
+    assert guarded.allcfs.paramTypeDict["stabilizer.controller"]
     guarded.allcfs.guard._watchdog.request(Action.LAND, "test", 2)
     with pytest.warns(CrazyswarmWarning), pytest.raises(FlightEnded, match="right: the watchdog"):
         guarded.timeHelper.sleepForRate(10)
@@ -273,6 +274,24 @@ def test_controller_decides_the_braking(swarm):
     pid.allcfs.setParam("stabilizer.controller", 1)
     with pytest.raises(CommandError, match=r"set it in the vehicle list"):
         mellinger.allcfs.setParam("stabilizer/controller", 1)
+
+
+def test_two_vehicles_that_fly_at_each_other_do_not_meet(swarm):
+    guarded = swarm()
+    left, right = airborne(guarded)
+    left.goTo([1.0, 0.0, 1.0], 0.0, 2.5)
+    right.goTo([-1.0, 0.0, 1.0], 0.0, 2.5)
+    closest = math.inf
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CrazyswarmWarning)
+        for _ in range(300):
+            with contextlib.suppress(FlightEnded):
+                guarded.timeHelper.sleep(0.01)
+            closest = min(closest, math.dist(left.position(), right.position()))
+    rules = {e.rule for e in guarded.allcfs.guard.events if e.severity.takes_over}
+    assert "neighbour_predicted" in rules
+    assert closest > 0.15
+    assert not guarded.allcfs.contacts
 
 
 # How it is asked for

@@ -240,3 +240,22 @@ def test_a_key_here_for_a_dead_man_elsewhere(stop, terminal, tmp_path):
     finally:
         here.close()
         there.close()
+
+
+def test_a_stop_socket_that_is_tampered_with_goes_on_record(monkeypatch, tmp_path):
+    from crazyarena.levels import load_level
+    from crazyarena.runner.rig.rig import simulated
+
+    monkeypatch.setenv("CRAZYARENA_RUNTIME_DIR", str(tmp_path))
+    level = load_level("sim2real")
+    rig = simulated(level, 1)
+    try:
+        guard = rig.safeguard
+        guard.open_stops(StopOptions())
+        (path,) = (tmp_path / f"crazyarena-{os.getuid()}").glob("estop-*.sock")
+        path.unlink()
+        eventually(
+            lambda: any("removed the stop socket" in event.detail for event in guard.events()), 20.0
+        )
+    finally:
+        rig.close()

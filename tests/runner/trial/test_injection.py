@@ -7,7 +7,7 @@ import threading
 import numpy as np
 
 from crazyarena.levels import load_level
-from crazyarena.mocap.zenoh_link import open_session
+from crazyarena.mocap.zenoh_session import open_session
 from crazyarena.runner.judging.referee import Referee
 from crazyarena.runner.trial.injection import Injection, ZenohOutlet
 from crazyarena.runner.trial.phase import MeasuredTrack

@@ -28,6 +28,7 @@ from crazyarena.runner.trial.tracked_world import TrackedWorld
 from crazyarena.sim_backend.arena_world import Track, motions, track_truth
 from crazyarena.sim_backend.physics.arena_plant import AB_CONTACT
 from crazyarena.sim_backend.physics.scene import build_scene
+from crazyarena.sim_backend.vehicles import VehicleChoice
 from crazyarena.types import PoseFrame
 from tests.runner.fakes import rows
 
@@ -53,6 +54,10 @@ def level_file(tmp_path):
     return str(file)
 
 
+# The gates are on trial here, not the racer, which flies these only with quicker rotors.
+QUICK = VehicleChoice(overrides=("rotors.lag_up=0.03", "rotors.lag_down=0.03"))
+
+
 def run(level_file, out, seed=1, world=None):
     """Fly the example racer; returns the episode and the dry run."""
     dry = DryRun(
@@ -63,6 +68,7 @@ def run(level_file, out, seed=1, world=None):
         figure=False,
         console=Console(file=io.StringIO()),
         options=FlightOptions(sandbox=False, compute="free"),
+        vehicle=QUICK,
     )
     if world is not None:
         made = dry._make_world

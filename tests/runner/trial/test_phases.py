@@ -83,10 +83,12 @@ def test_phases_come_in_order_and_end_on_the_ground(stand, level):
         rig.clock.sleep_until(rig.clock.now() + 1 / 30)
     assert fleet(rig).true_pose(0).position[2] > 0.8
     crew.bring_home()
+    assert not fleet(rig).supervisor_info(0) & (INFO_ARMED | INFO_FLYING)
+    # Switched off where it seemed to stand: the last centimetres on the cushion it falls.
+    rig.clock.sleep_until(rig.clock.now() + 0.5)
     place = fleet(rig).true_pose(0).position
     assert place[2] < 0.03
     assert np.linalg.norm(place[:2] - draw.start[[0, 2]]) < 0.1
-    assert not fleet(rig).supervisor_info(0) & (INFO_ARMED | INFO_FLYING)
     phases = [p for p, text in told if not text]
     assert phases == [
         Phase.CONNECT, Phase.PREFLIGHT, Phase.SURVEY, Phase.ARM, Phase.COUNTDOWN, Phase.RETURN,
@@ -104,7 +106,7 @@ def test_ground_contact_counts_from_lift_off_on(stand, level):
     rig.clock.sleep_until(rig.clock.now() + 0.5)
     assert not referee.judge(world.poll()).collided
     start = draw.start
-    for k in range(45):
+    for k in range(75):
         height = 0.4 if k < 20 else 0.0
         world.send(cs.FullState((start[0], start[2], height), (0, 0, 0), (0, 0, 0), 0.0, (0, 0, 0)))
         rig.clock.sleep_until(rig.clock.now() + 1 / 30)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -26,7 +28,7 @@ class Called:
     def __init__(self, folder, stage, *options, uris=None, runtime=None):
         self.report = folder / "preflight.json"
         pairs = uris or [f"cf{i + 1}={uri}" for i, uri in enumerate(stage.uris)]
-        self.environment = {**os.environ, "XDG_RUNTIME_DIR": str(runtime or folder)}
+        self.environment = {**os.environ, "CRAZYARENA_RUNTIME_DIR": str(runtime or folder)}
         waived = [word for name in MACHINE for word in ("--waive", name)]
         self._process = subprocess.Popen(
             [sys.executable, "-m", "crazyarena", "preflight", "--mocap", "zenoh",
@@ -133,6 +135,26 @@ def test_the_name_of_another_vehicle(tmp_path):
         assert "cf2 at start" in red
 
 
+@pytest.mark.parametrize("degrees", [20, -45, 90, 180])
+def test_a_body_whose_nose_is_not_the_vehicles(tmp_path, degrees):
+    with Stage(places=[START], noses={"cf1": math.radians(degrees)}) as stage:
+        called = Called(tmp_path, stage, "--tip", "--wait", "2", "--waive", "e-stop tested")
+        called.until("Tip cf1 by hand")
+        stage.tip(0, 0.5)
+        called.until("Body cf1 was tipped")
+        stage.put_down()
+        code, _, red = called.end()
+        assert code == 1
+        (found,) = re.findall(r"nose is (\S+) deg", red["cf1 heading"]["found"])
+        assert abs(math.remainder(float(found) - degrees, 360.0)) < 5.0
+        (remedy,) = re.findall(r"by (\S+) deg about z", red["cf1 heading"]["remedy"])
+        assert float(remedy) == -float(found)
+        # The next command remembers it.
+        code, _, red = Called(tmp_path, stage, "--wait", "2", "--waive", "e-stop tested").end()
+        assert code == 1
+        assert "cf1 heading" in red
+
+
 def test_a_body_that_nobody_tips_is_not_taken_for_the_vehicle(tmp_path):
     """Somebody tips the other vehicle: this one feels nothing, whatever the cameras see."""
     with Stage(places=[START, (0.0, 0.0)]) as stage:
@@ -176,7 +198,7 @@ def test_fly_asks_the_same_and_records_what_is_waived(tmp_path):
             [sys.executable, "-m", "crazyarena", "fly", str(entry), "--uri", stage.uris[0],
              "--mocap", "zenoh", "--mocap-host", stage.endpoint, "--yes", "--out", str(out),
              "--no-figure", "--waive", "disk", *options],
-            env={**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)},
+            env={**os.environ, "CRAZYARENA_RUNTIME_DIR": str(tmp_path)},
             stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120,
         )  # fmt: skip
 

@@ -46,7 +46,7 @@ class Flight:
         self.out = folder / "out"
         entry = folder / "entry.py"
         entry.write_text(ENTRY)
-        self.environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder), "TERM": "dumb"}
+        self.environment = {**os.environ, "CRAZYARENA_RUNTIME_DIR": str(folder), "TERM": "dumb"}
         self._master, slave = pty.openpty()
         self._process = subprocess.Popen(
             [sys.executable, "-m", "crazyarena", "fly", str(entry), "--uri", arena.uri,
@@ -200,7 +200,7 @@ def test_zenoh_cuts_with_the_token_alone(arena, fly, tmp_path):
     flight.until_said("with the token")
     flight.until_flying()
     # From another machine: its own shells have no socket of this session.
-    flight.environment = {**flight.environment, "XDG_RUNTIME_DIR": str(tmp_path / "away")}
+    flight.environment = {**flight.environment, "CRAZYARENA_RUNTIME_DIR": str(tmp_path / "away")}
     (tmp_path / "away").mkdir()
     flight.shell("--connect", endpoint)
     flight.shell("--connect", endpoint, "--token", str(other))

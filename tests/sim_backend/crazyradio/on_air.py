@@ -36,7 +36,7 @@ class Vehicle:
         self.receiver = Receiver(self._take)
         self.station = Station(channel, rate, address, self.receiver, **station)
 
-    def _take(self, packet):
+    def _take(self, packet, everybody):
         if self.room:
             self.got.append(packet)
         return self.room

@@ -11,7 +11,7 @@ import numpy as np
 
 from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
-from crazyarena.sim_backend.crtp.toc import param_entries
+from crazyarena.sim_backend.crtp.toc import Table, param_entries
 from crazyarena.sim_backend.crtp.vehicle import Hardware
 from tests.recorded import folder
 
@@ -64,15 +64,15 @@ def tables() -> list[tuple[str, dict]]:
 
 def param_id(name: str) -> int:
     """Number of a parameter on the wire."""
-    return [entry.name for entry in param_entries()].index(name)
+    return [entry.name for entry in param_entries(Table.RECORDED)].index(name)
 
 
 class Bench:
     """One bare vehicle in virtual time, fed its true pose."""
 
-    def __init__(self, hardware: Hardware = Hardware.BARE) -> None:
+    def __init__(self, hardware: Hardware = Hardware.BARE, table: Table = Table.RECORDED) -> None:
         self.fleet = ArenaFleet(np.zeros((1, 3)))
-        self.swarm = VirtualSwarm(self.fleet, hardware, FEED_RATE)
+        self.swarm = VirtualSwarm(self.fleet, hardware, FEED_RATE, table=table)
         self.vehicle = self.swarm.vehicles[0]
         self.heard: list[tuple[int, bytes]] = []
 

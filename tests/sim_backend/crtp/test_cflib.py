@@ -22,6 +22,7 @@ from cflib.crazyflie.syncLogger import SyncLogger
 from cflib.positioning.motion_commander import MotionCommander
 from cflib.positioning.position_hl_commander import PositionHlCommander
 
+from crazyarena.sim_backend.crtp.toc import log_entries, param_entries
 from tests.sim_backend.crtp.virtual_process import VirtualProcess, virtual_process
 
 _COUNT = 10
@@ -105,9 +106,9 @@ def test_full_toc_download_without_cache(vehicles: VirtualProcess) -> None:
         connection.wait_for_params()
         cf = connection.cf
         assert cf.platform.get_protocol_version() == 12
-        assert sum(len(group) for group in cf.param.toc.toc.values()) == 271
-        assert sum(len(group) for group in cf.log.toc.toc.values()) == 404
-        assert sum(len(group) for group in cf.param.values.values()) == 271
+        assert sum(len(group) for group in cf.param.toc.toc.values()) == len(param_entries())
+        assert sum(len(group) for group in cf.log.toc.toc.values()) == len(log_entries())
+        assert sum(len(group) for group in cf.param.values.values()) == len(param_entries())
         assert cf.param.toc.get_element_by_complete_name("ctrlMel.kp_xy").is_persistent()
         assert float(cf.param.get_value("ctrlMel.kp_xy")) == pytest.approx(0.4)
         assert len(cf.mem.mems) == 8

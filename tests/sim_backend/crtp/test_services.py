@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from crazyarena.sim_backend.arena_params import PARAMS
 from crazyarena.sim_backend.crtp.console import ConsoleService
 from crazyarena.sim_backend.crtp.log import MAX_BLOCKS
 from crazyarena.sim_backend.crtp.setpoints import compress_quaternion
-from crazyarena.sim_backend.crtp.toc import TYPES, param_entries
+from crazyarena.sim_backend.crtp.toc import TYPES, Table, log_entries, param_entries
 from crazyarena.sim_backend.crtp.vehicle import Hardware
 from crazyarena.sim_backend.firmware.supervisor import INFO_CRASHED, INFO_FLYING
 from tests.sim_backend.crtp.recordings import Bench, param_id
@@ -55,12 +56,13 @@ def test_every_number_has_a_place_in_every_type(name: str, value: float) -> None
         assert back == math.trunc(value)
 
 
-def test_simulated_parameters_have_the_types_of_the_table() -> None:
+@pytest.mark.parametrize("table", Table)
+def test_simulated_parameters_have_the_types_of_the_table(table: Table) -> None:
     """So that no value a client can write is beyond what the simulation takes."""
-    table = {entry.name: entry.ctype.name for entry in param_entries()}
-    shared = {p.name: p.ctype for p in PARAMS if p.name in table}
+    types = {entry.name: entry.ctype.name for entry in param_entries(table)}
+    shared = {p.name: p.ctype for p in PARAMS if p.name in types}
     assert len(shared) > 100
-    assert shared == {name: table[name] for name in shared}
+    assert shared == {name: types[name] for name in shared}
 
 
 # Parameters
@@ -200,6 +202,70 @@ def test_group_mask(bench: Bench) -> None:
 def test_an_unknown_high_level_command_is_refused(bench: Bench) -> None:
     assert bench.ask("8c630000") == [bytes.fromhex("8c63000008")]
     assert bench.ask("8c07000000") == [bytes.fromhex("8c07000008")]
+
+
+def test_a_take_off_without_its_last_byte_is_taken(bench: Bench) -> None:
+    takeoff = b"\x8c\x07" + struct.pack("<Bff?f", 0, 0.5, 0.0, False, 1.0)
+    assert bench.ask(takeoff[:-1]) == [bytes.fromhex("8c07000000")]
+    assert bench.ask(takeoff[:-2]) == [bytes.fromhex("8c07000008")]
+    landing = b"\x8c\x08" + struct.pack("<Bff?f", 0, 0.0, 0.0, False, 1.0)
+    assert bench.ask(landing[:-1]) == [bytes.fromhex("8c08000008")]
+
+
+# Tables of hardware
+
+
+@pytest.mark.parametrize("table", Table)
+def test_no_entry_is_there_twice_and_every_name_fits_its_packet(table: Table) -> None:
+    for entries in (param_entries(table), log_entries(table)):
+        names = [entry.name for entry in entries]
+        assert len(names) == len(set(names))
+        assert all(len(name) + 1 <= 26 for name in names)
+        groups = [name.partition(".")[0] for name in names]
+        if table is not Table.RECORDED:
+            assert len(set(groups)) == sum(a != b for a, b in pairwise(["", *groups]))
+
+
+def test_what_every_vehicle_has_and_a_simulation_build_lacks() -> None:
+    recorded = {entry.name for entry in param_entries(Table.RECORDED)}
+    for table in (Table.CF21, Table.CF21_BRUSHLESS):
+        params = {entry.name: entry for entry in param_entries(table)}
+        for name in (
+            "colAv.enable", "motorPowerSet.m4", "pm.criticalLowVoltage", "health.startBatTest",
+            "lighthouse.method", "sound.effect", "ctrlAtt.tau_xy", "cpu.id2",
+        ):  # fmt: skip
+            assert name in params
+        assert not any("_SIM" in name for name in params)
+        logs = {entry.name for entry in log_entries(table)}
+        for name in ("pm.batteryLevel", "pm.state", "health.motorVarXM1", "motor.m3rpm"):
+            assert name in logs
+        assert params["locSrv.extQuatStdDev"].boot == pytest.approx(0.0045)
+        assert params["pm.lowVoltage"].boot == pytest.approx(3.2)
+    assert "colAv.enable" not in recorded
+    by_name = {entry.name: entry.boot for entry in param_entries(Table.RECORDED)}
+    assert by_name["locSrv.extQuatStdDev"] == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("table", "device"),
+    [(Table.CF21, b"Crazyflie 2.1"), (Table.CF21_BRUSHLESS, b"Crazyflie 2.1 Brushless")],
+)
+def test_hardware_boots_as_hardware(table: Table, device: bytes) -> None:
+    bench = Bench(Hardware.FULL, table)
+    assert bench.ask("dd02") == [b"\xdd\x02" + device]
+    assert bench.fleet.get_param(0, "locSrv.extQuatStdDev") == pytest.approx(0.0045)
+    entries = bench.vehicle.params.entries
+    for ident, entry in enumerate(entries):
+        assert entry.ctype.unpack(bench.vehicle.params.get(ident)) == pytest.approx(
+            entry.ctype.unpack(entry.ctype.pack(entry.boot))
+        ), entry.name
+    # What the simulation models is live.
+    ident = [entry.name for entry in entries].index("colAv.enable")
+    bench.ask(b"\x2e" + struct.pack("<HB", ident, 1))
+    assert bench.fleet.get_param(0, "colAv.enable") == 1
+    bench.run_to(100)
+    level = bench.vehicle._read(_log_id(bench, "pm.batteryLevel"))
+    assert level in range(50, 100, 10)
 
 
 # Localization

@@ -8,7 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pybullet
+
+try:
+    import pybullet
+except ImportError:
+    pybullet = None
 
 LEVEL_GATES = [
     [0.5, -2.5, 0, 0, 0, -1.57, 0],

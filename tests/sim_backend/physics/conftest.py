@@ -8,6 +8,7 @@ from tests.sim_backend.physics.bullet_world import LEVEL_GATES, LEVEL_OBSTACLES,
 @pytest.fixture
 def make_bullet(tmp_path):
     """Builds PyBullet worlds that are closed after the test."""
+    pytest.importorskip("pybullet")
     worlds = []
 
     def make(gates=LEVEL_GATES, obstacles=LEVEL_OBSTACLES, **options) -> BulletWorld:

@@ -20,6 +20,7 @@ from crazyarena.sim_backend.physics.rigid_body import (
     competition_plant,
 )
 from crazyarena.sim_backend.vehicles import default_rows
+from tests.optional import needs_pybullet
 from tests.sim_backend.physics.bullet_world import LEVEL_GATES, LEVEL_OBSTACLES
 
 GROUND = len(LEVEL_GATES) + len(LEVEL_OBSTACLES)
@@ -55,6 +56,7 @@ def swaying_forces(body, plant, t):
     return lift + np.array([a - b + spin, a + b - spin, -a + b + spin, -a - b - spin])
 
 
+@needs_pybullet
 @pytest.mark.parametrize(("plant", "dt"), PLANTS)
 def test_free_flight_agrees(engines, plant, dt):
     native = engines(NativeEngine, plant, dt=dt)
@@ -81,6 +83,7 @@ def test_free_flight_agrees(engines, plant, dt):
     assert angle.magnitude() < 1e-7
 
 
+@needs_pybullet
 def test_link_frames_lag_as_in_the_competition(engines):
     plant = competition_plant()
     bullet = engines(PyBulletEngine, plant, dt=c.DT, ground=False, link_frames=True)
@@ -113,6 +116,7 @@ def first_contact(engine, rotors, steps):
     return -1, NO_CONTACT
 
 
+@needs_pybullet
 @pytest.mark.parametrize(("plant", "dt"), PLANTS)
 def test_same_object_is_hit_at_the_same_step(engines, plant, dt):
     native, bullet = track_engines(engines, plant, dt)
@@ -139,6 +143,7 @@ def test_same_object_is_hit_at_the_same_step(engines, plant, dt):
     assert len(hit) >= 6
 
 
+@needs_pybullet
 @pytest.mark.parametrize(("plant", "dt"), PLANTS)
 @pytest.mark.parametrize("rpy", [(0, 0, 0), (0.2, 0.1, 0.5), (3.1, 0.0, 0.3)])
 def test_drop_comes_to_rest_where_bullet_rests(engines, plant, dt, rpy):
@@ -157,6 +162,7 @@ def test_drop_comes_to_rest_where_bullet_rests(engines, plant, dt, rpy):
     np.testing.assert_allclose(native[c.B_POS : c.B_POS + 2], [-2, -2], atol=0.02)
 
 
+@needs_pybullet
 @pytest.mark.parametrize(("plant", "dt"), PLANTS)
 @pytest.mark.parametrize("velocity", [(1.0, 0.5, -0.2), (0.0, 2.0, -0.5), (0.8, 0.0, -0.6)])
 def test_sliding_landing_stops_where_bullet_stops(engines, plant, dt, velocity):
@@ -189,6 +195,7 @@ def test_nothing_flies_through_a_beam_or_a_pole(engines, dt, speed):
         assert np.linalg.norm(native.bodies[0, c.B_VEL : c.B_VEL + 3]) < 0.8 * speed
 
 
+@needs_pybullet
 def test_vehicles_block_each_other_in_both_engines(engines):
     plants = [ARENA_PLANT, ARENA_PLANT]
     for kind in (NativeEngine, PyBulletEngine):
@@ -212,6 +219,7 @@ def test_engine_refuses_bad_plants():
         NativeEngine(row[:4])
 
 
+@needs_pybullet
 def test_camera_sees_the_track(engines):
     engine = engines(PyBulletEngine, ARENA_PLANT, LEVEL_GATES, LEVEL_OBSTACLES)
     engine.reset([[0, 0, 1.0]])

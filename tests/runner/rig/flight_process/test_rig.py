@@ -34,7 +34,7 @@ def arena(level, tmp_path_factory):
 
 @pytest.fixture
 def rig(level, arena, tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("CRAZYARENA_RUNTIME_DIR", str(tmp_path))
     source = SourceSpec("zenoh", {"connect": [arena.endpoint]})
     rig = connected(level, arena.uri, source, real_time=False)
     yield rig

@@ -1,0 +1,108 @@
+"""Flights with a rigid body whose nose is not the vehicle's, in virtual time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from crazyarena.levels import load_level
+from crazyarena.runner.campaign.flight import Flight
+from crazyarena.runner.campaign.setting import BODY, BOOT
+from crazyarena.safety.events import Action, SafetyEvent
+from crazyarena.types import Pose, PoseFrame
+
+_RULES = ("body_turned", "body_turned_far", "yaw_apart")
+_MOVES = 0.02  # m from where it stood: motion begins
+
+
+@dataclass(frozen=True, slots=True)
+class TurnedFlight:
+    """What became of a flight.
+
+    Attributes
+    ----------
+    warned: s of motion until the first warning about the heading; inf for none.
+    told: its text, or that of the cut.
+    cut: s of motion until motors were cut for the heading; inf if they were not.
+    height, way: m, when they were: above the ground, and from the start in the plane.
+    excursion: m beyond the hard fence, at most.
+    taken: rules by which the watchdog took over.
+    """
+
+    warned: float
+    told: str
+    cut: float
+    height: float
+    way: float
+    excursion: float
+    taken: tuple[str, ...]
+
+
+def turn(pose: Pose, angle: float) -> Pose:
+    """The pose of a body whose nose points ``angle`` rad to the left of the vehicle's."""
+    x, y, z, w = pose.quaternion.tolist()
+    s, c = math.sin(0.5 * angle), math.cos(0.5 * angle)
+    turned = np.array([x * c + y * s, y * c - x * s, z * c + w * s, w * c - z * s])
+    return replace(pose, quaternion=turned)
+
+
+def mirror(pose: Pose) -> Pose:
+    """The pose as cameras with a left-handed world frame tell it."""
+    x, y, z, w = pose.quaternion.tolist()
+    return Pose(pose.position * [1.0, -1.0, 1.0], np.array([-x, y, -z, w]))
+
+
+def fly_turned(
+    angle: float, seed: int, *, turning: float = 0.0, mirrored: bool = False
+) -> TurnedFlight:
+    """Take off and fly a circuit with a body turned by ``angle`` rad, and by ``turning`` rad/s
+    more from the take-off on."""
+    flight = Flight("silent", seed, load_level("level0"))
+    flight.onset = math.inf  # nothing else strikes
+
+    def spoil(frame: PoseFrame) -> PoseFrame:
+        now = angle + turning * max(0.0, frame.timestamp - BOOT)
+        bodies = {
+            name: (mirror(pose) if mirrored else turn(pose, now)) if name == BODY else pose
+            for name, pose in frame.bodies.items()
+        }
+        return replace(frame, bodies=bodies)
+
+    flight.cameras.spoil = spoil
+    # As preflight and crew begin: the estimator takes the heading from the cameras.
+    for name, value in (("initialYaw", angle), ("resetEstimation", 1), ("resetEstimation", 0)):
+        flight.fleet.set_param(0, f"kalman.{name}", value)
+        flight.fleet.advance(1)
+    start = flight.position()
+    begun, seen = math.inf, []
+
+    def look(now: float) -> None:
+        nonlocal begun
+        gone = flight.position() - start
+        if begun == math.inf and np.linalg.norm(gone) > _MOVES:
+            begun = now
+        seen.append((now, float(gone[2]), float(math.hypot(*gone[:2]))))
+
+    flight.clock.on_advance(look)
+    outcome = flight.run()
+    about = [event for event in outcome.events if event.rule in _RULES]
+    warned = _first(about, Action.WARN)
+    cut = _first(about, Action.CUT)
+    at = math.inf if cut is None else cut.time
+    _, height, way = next((row for row in seen if row[0] >= at), (0.0, math.nan, math.nan))
+    last = cut or warned
+    return TurnedFlight(
+        math.inf if warned is None else warned.time - begun,
+        "" if last is None else last.detail,
+        at - begun if math.isfinite(at) else math.inf,
+        height,
+        way,
+        outcome.excursion,
+        tuple(event.rule for event in outcome.events if event.severity.takes_over),
+    )
+
+
+def _first(events: list[SafetyEvent], severity: Action) -> SafetyEvent | None:
+    return next((event for event in events if event.severity is severity), None)

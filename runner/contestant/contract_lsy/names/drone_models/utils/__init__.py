@@ -1,0 +1,1 @@
+"""Helpers of drone_models."""

@@ -1,0 +1,1 @@
+"""Stands in for lsy_drone_racing where its controllers are loaded."""

@@ -1,0 +1,220 @@
+"""The rules of lsy_drone_racing, at the rate of its environment, and ours beside them.
+
+Theirs decide: what is looked at is the state at the end of a step. Ours look at every physics
+tick and at the real race, and only say where they would have decided otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from crazyarena.levels.lsy.draw import LsyDraw
+from crazyarena.levels.lsy.schema import MAX_STEPS, LsyLevel
+from crazyarena.sim_backend.trace import TR_CONTACT, TR_OMEGA, TR_POS, TR_QUAT, TR_TIME, TR_VEL
+
+Array = NDArray[np.float64]
+
+WINDOW = 0.45
+"""Side of the square in a gate's plane that counts as passed, m."""
+OPENING = 0.40
+"""Side of the opening, m."""
+BOUNDS = (np.array([-3.0, -3.0, 0.0]), np.array([3.0, 3.0, 2.5]))
+"""What the simulation lets fly in, m; the level's safety limits are held in a real race only."""
+_ON_PLATFORM = 0.02  # m from the start, in x and in y
+_GONE = np.full(3, -1.0)
+
+GATES_PASSED, COLLISION, OUT_OF_BOUNDS, FLOOR = (
+    "GATES PASSED",
+    "COLLISION",
+    "OUT OF BOUNDS",
+    "FLOOR",
+)
+TIME_LIMIT = "TIME LIMIT"
+
+
+@dataclass(slots=True)
+class LsyEvent:
+    """Something that happened: s since the first step, and words."""
+
+    time: float
+    name: str
+    detail: str = ""
+
+
+@dataclass(slots=True)
+class LsyVerdict:
+    """What a step comes to."""
+
+    obs: dict[str, Any]
+    reward: float
+    terminated: bool
+    truncated: bool
+    reason: str | None
+    events: list[LsyEvent] = field(default_factory=list)
+
+
+class LsyReferee:
+    """Judges one episode after the other of a level."""
+
+    def __init__(self, level: LsyLevel) -> None:
+        order = np.array(level.env.track.order)
+        self._level = level
+        self._sequence = np.abs(order) - 1
+        self._direction = np.sign(order)
+        self._range = level.env.sensor_range
+        limits = level.env.track.safety_limits
+        self._limits = np.array(limits.pos_limit_low), np.array(limits.pos_limit_high)
+
+    def begin(self, draw: LsyDraw, state: Array) -> dict[str, Any]:
+        """Start an episode at ``state`` (13,); returns the first observation."""
+        self._draw = draw
+        self._turns = Rotation.from_quat(draw.gates[:, 3:]).inv().as_matrix()
+        self._last = state[:3].copy()
+        self._start = state[:3].copy()
+        self._ticked = state[:3].copy()
+        self.passed = 0
+        self.steps = 0
+        self.gate_times: list[float] = []
+        self.notes: list[str] = []
+        self._left_limits = self._touched_between = False
+        self._gates_seen = np.zeros(len(draw.gates), bool)
+        self._obstacles_seen = np.zeros(len(draw.obstacles), bool)
+        self._look(state[:3])
+        return self._obs(state)
+
+    @property
+    def gates(self) -> int:
+        """How many passes make a run."""
+        return len(self._sequence)
+
+    def judge(self, rows: Array) -> LsyVerdict:
+        """Judge the ticks (k, TRACE_SIZE) of a step."""
+        row = rows[-1]
+        place = row[TR_POS : TR_POS + 3]
+        time, events = float(row[TR_TIME]), list[LsyEvent]()
+        reason = self._disabled(row)
+        self._look(place)
+        self._compare(rows, reason)
+        if reason is None and self.passed < self.gates:
+            crossing = self._crossing(self._last, place)
+            if crossing is not None:
+                y, z = crossing
+                number = int(self._sequence[self.passed])
+                self.passed += 1
+                self.gate_times.append(time)
+                events.append(LsyEvent(time, "gate passed", f"gate {number + 1}"))
+                if max(abs(y), abs(z)) > OPENING / 2:
+                    self.notes.append(
+                        f"gate {number + 1} counted at {y:+.3f} m, {z:+.3f} m from its centre: "
+                        f"outside of its opening of {OPENING:g} m"
+                    )
+        self.steps += 1
+        truncated = self.steps >= MAX_STEPS
+        if reason is not None:
+            events.append(LsyEvent(time, reason.lower()))
+        elif truncated:
+            reason = TIME_LIMIT
+        self._last = place.copy()
+        state = np.concatenate(
+            [
+                place,
+                row[TR_VEL : TR_VEL + 3],
+                row[TR_QUAT : TR_QUAT + 4],
+                row[TR_OMEGA : TR_OMEGA + 3],
+            ]
+        )
+        terminated = reason is not None and reason != TIME_LIMIT
+        if terminated:
+            state[:3] = _GONE
+        reward = -1.0 if self.passed == self.gates else 0.0
+        return LsyVerdict(self._obs(state), reward, terminated, truncated, reason, events)
+
+    def _disabled(self, row: Array) -> str | None:
+        """Why the drone is out at the end of a step; the gates are those of the step before, so
+        that the last pass ends the run one step later."""
+        place = row[TR_POS : TR_POS + 3]
+        if row[TR_CONTACT] >= 0.0:
+            code, gates = int(row[TR_CONTACT]), len(self._draw.gates)
+            what = f"gate {code + 1}" if code < gates else f"obstacle {code - gates + 1}"
+            self.notes.append(f"touched {what} at {row[TR_TIME]:.3f} s")
+            return COLLISION
+        low, high = BOUNDS
+        if place[2] < low[2] and np.abs(place[:2] - self._start[:2]).max() > _ON_PLATFORM:
+            return FLOOR
+        if (place[:2] < low[:2]).any() or (place > high).any():
+            return OUT_OF_BOUNDS
+        return GATES_PASSED if self.passed == self.gates else None
+
+    def _look(self, place: Array) -> None:
+        for seen, objects in (
+            (self._gates_seen, self._draw.gates),
+            (self._obstacles_seen, self._draw.obstacles),
+        ):
+            if len(objects):
+                offset = objects[:, :2] - place[:2]
+                seen |= (offset * offset).sum(axis=1) < self._range**2
+
+    def _crossing(self, before: Array, after: Array) -> tuple[float, float] | None:
+        """Where (m, in the gate's plane) the way between two places passes the next gate."""
+        number = self._sequence[self.passed]
+        turn, centre = self._turns[number], self._draw.gates[number, :3]
+        a, b = turn @ (before - centre), turn @ (after - centre)
+        sign = self._direction[self.passed]
+        if not (sign * a[0] < 0.0 < sign * b[0]):
+            return None
+        share = -a[0] / (b[0] - a[0])
+        y, z = a[1:] + share * (b[1:] - a[1:])
+        half = WINDOW / 2
+        return (float(y), float(z)) if abs(y) < half and abs(z) < half else None
+
+    def _compare(self, rows: Array, reason: str | None) -> None:
+        """Note where a look at every tick, or the real race, would have decided otherwise."""
+        codes = rows[:, TR_CONTACT]
+        if reason is None and not self._touched_between and (codes >= 0.0).any():
+            self._touched_between = True
+            first = rows[int(np.argmax(codes >= 0.0))]
+            self.notes.append(
+                f"touched something at {first[TR_TIME]:.3f} s, between two looks of the referee: "
+                "a collision by every tick"
+            )
+        if not self._left_limits:
+            places = rows[:, TR_POS : TR_POS + 3]
+            low, high = self._limits
+            # The floor below the start is no way out.
+            out = (places[:, :2] < low[:2]).any(axis=1) | (places > high).any(axis=1)
+            if out.any():
+                self._left_limits = True
+                first = rows[int(np.argmax(out))]
+                where = ", ".join(f"{v:.2f}" for v in first[TR_POS : TR_POS + 3])
+                self.notes.append(
+                    f"left the safety limits at {first[TR_TIME]:.2f} s, at [{where}] m: a real "
+                    "race would have ended there"
+                )
+
+    def _obs(self, state: Array) -> dict[str, Any]:
+        draw = self._draw
+        seen, near = self._gates_seen[:, None], self._obstacles_seen[:, None]
+        gates = np.where(seen, draw.gates, draw.nominal_gates).astype(np.float32)
+        obstacles = np.where(near, draw.obstacles, draw.nominal_obstacles).astype(np.float32)
+        done = self.passed == self.gates
+        target = -1 if done else int(self._sequence[self.passed])
+        return {
+            "pos": state[:3].astype(np.float32),
+            "quat": state[6:10].astype(np.float32),
+            "vel": state[3:6].astype(np.float32),
+            "ang_vel": state[10:13].astype(np.float32),
+            "target_gate": np.array(target, np.int32),
+            "gates_pos": gates[:, :3].copy(),
+            "gates_quat": gates[:, 3:].copy(),
+            "gates_visited": self._gates_seen.copy(),
+            "obstacles_pos": obstacles,
+            "obstacles_visited": self._obstacles_seen.copy(),
+            "n_gates_passed": np.array(self.passed, np.int32),
+            "gate_sequence": self._sequence.astype(np.int32),
+            "gate_sequence_direction": self._direction.astype(np.int32),
+        }

@@ -1,0 +1,283 @@
+"""Runs of lsy_drone_racing's controllers, from level name to report: dry runs and evaluations."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from crazyarena import __version__
+from crazyarena.clock import WallClock
+from crazyarena.errors import InputError
+from crazyarena.levels.lsy import LsyLevel, load_lsy_level
+from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, fresh_seed
+from crazyarena.plain_text import shown_in
+from crazyarena.runner.contestant.contract_lsy.dialogue import LsyContestant
+from crazyarena.runner.contestant.contract_lsy.pilot import LsyInProcess
+from crazyarena.runner.contestant.contract_lsy.submission import (
+    LsySubmission,
+    controller_hash,
+    find_controller,
+)
+from crazyarena.runner.judging.lsy_rules import LsyReferee
+from crazyarena.runner.judging.result import CONTROLLER_ERROR, INTERRUPTED
+from crazyarena.runner.records.lsy_scene import lsy_scene
+from crazyarena.runner.records.recorder import Recorder
+from crazyarena.runner.records.report import machine, versions
+from crazyarena.runner.trial.lsy_episode import COMMAND_LAYOUT, LsyEpisode, LsyEpisodeResult
+from crazyarena.runner.warm_up import compile_missing
+from crazyarena.sim_backend.successor import SuccessorWorld, nominal
+
+FORMAT = 1
+DEFAULT_LEVEL = "lsy/level2"
+ENOUGH = 0.5
+"""Share of successful runs below which an evaluation fails."""
+
+
+@dataclass
+class LsyResult:
+    """All episodes of a run."""
+
+    episodes: list[LsyEpisodeResult]
+    requested: int
+    seed: int
+
+    @property
+    def success_rate(self) -> float:
+        """Share of the requested episodes that passed all gates."""
+        return sum(e.success for e in self.episodes) / self.requested
+
+    @property
+    def mean_time(self) -> float | None:
+        """Mean time of the successful ones, s, as lsy_drone_racing counts it."""
+        times = [e.time for e in self.episodes if e.success]
+        return float(np.mean(times)) if times else None
+
+    @property
+    def clean(self) -> bool:
+        """Every requested episode passed all gates."""
+        return len(self.episodes) == self.requested and all(e.success for e in self.episodes)
+
+    @property
+    def error(self) -> str | None:
+        """Traceback of the controller's failure, if it failed."""
+        return next((e.error for e in self.episodes if e.error is not None), None)
+
+
+class LsyRun:
+    """One run of a controller through episodes of a level.
+
+    Parameters
+    ----------
+    submission: file of a controller of lsy_drone_racing, or a folder with exactly one.
+    level: ``lsy/level0`` ... or a TOML file; overrides: see :func:`load_lsy_level`.
+    seed: replaces the level's; -1 there means a new one, which is told.
+    out: results folder, or None for none at all.
+    record: write an MCAP file an episode into it.
+    sandbox: run the controller in a process of its own; require: refuse to without full walls.
+
+    Raises
+    ------
+    InputError: the level or the controller is at fault.
+    """
+
+    def __init__(
+        self,
+        submission: Path,
+        level: str = DEFAULT_LEVEL,
+        overrides: Sequence[str] = (),
+        *,
+        episodes: int = 1,
+        seed: int | None = None,
+        out: Path | None = None,
+        record: bool = True,
+        sandbox: bool = False,
+        require_sandbox: bool = False,
+        console: Console | None = None,
+    ) -> None:
+        self.level: LsyLevel = load_lsy_level(level, overrides)
+        path = submission.expanduser()
+        if not path.exists():
+            raise InputError(f"{path}: no such file or folder. Pass the file of a controller")
+        file = find_controller(path)
+        if file is None:
+            raise InputError(
+                f"{path}: no class here derives from lsy_drone_racing.control.Controller, which "
+                f"level {self.level.name} needs"
+            )
+        self._file = file.resolve()
+        wanted = self.level.env.seed if seed is None else seed
+        self.seed = fresh_seed() if wanted < 0 else wanted
+        self._episodes = episodes
+        self.out = out
+        self._record = record
+        self.isolated = False
+        self._sandbox = sandbox
+        self._require = require_sandbox
+        self._console = console if console is not None else Console()
+
+    def run(self) -> LsyResult:
+        """Fly; write ``result.json`` if there is a folder for it."""
+        console, level = self._console, self.level
+        for warning in level.warnings:
+            console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
+        if self.out is not None:
+            try:
+                self.out.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise InputError(
+                    f"--out {self.out}: cannot make this folder: {error.strerror}"
+                ) from error
+        compile_missing(("successor",), console)
+        world = SuccessorWorld(level)
+        random = LsyRandom(level, nominal(level), self.seed)
+        referee = LsyReferee(level)
+        results: list[LsyEpisodeResult] = []
+        with contextlib.ExitStack() as stack:
+            contestant = self._contestant(stack)
+            stack.callback(contestant.close)
+            for index in range(self._episodes):
+                result = self._episode(index, contestant, world, referee, random.reset())
+                results.append(result)
+                if result.termination in (CONTROLLER_ERROR, INTERRUPTED):
+                    break
+        self.isolated = bool(contestant.description["isolated"])
+        outcome = LsyResult(results, self._episodes, self.seed)
+        if self.out is not None:
+            self._write(outcome, contestant)
+        return outcome
+
+    def _contestant(self, stack: contextlib.ExitStack) -> LsyContestant:
+        model = self.level.sim.drone_model
+        if self._sandbox:
+            from crazyarena.runner.contestant.sandbox.lsy import LsySandboxed
+
+            sandboxed = LsySandboxed(self._file, model, require=self._require)
+            self._console.print(sandboxed.announcement, highlight=False, soft_wrap=True)
+            return sandboxed
+        work = self._file.parent if self.out is None else self.out / "work"
+        if self.out is not None:
+            stack.callback(_remove_if_empty, work)
+        return LsyInProcess(LsySubmission(self._file, work, model))
+
+    def _episode(
+        self,
+        index: int,
+        contestant: LsyContestant,
+        world: SuccessorWorld,
+        referee: LsyReferee,
+        draw: LsyDraw,
+    ) -> LsyEpisodeResult:
+        recorder = self._recorder(index, draw) if self._record and self.out is not None else None
+        try:
+            episode = LsyEpisode(index, self.level, contestant, world, referee, recorder=recorder)
+            result = episode.fly(draw)
+        finally:
+            if recorder is not None:
+                recorder.close()
+        if recorder is not None and recorder.file is not None:
+            result.files["recording"] = recorder.file.name
+        return result
+
+    def _recorder(self, index: int, draw: LsyDraw) -> Recorder:
+        assert self.out is not None
+        metadata = {
+            "crazyarena": __version__,
+            "level": self.level.name,
+            "level_file": json.dumps(self.level.config),
+            "rng": str(self.level.rng.value),
+            "seed": str(self.seed),
+            "episode": str(index),
+            "submission_sha256": controller_hash(self._file),
+            "command_layout": COMMAND_LAYOUT[self.level.env.control_mode],
+            "start": json.dumps(draw.start.tolist()),
+            "mass": repr(draw.mass),
+            "inertia": json.dumps(draw.inertia.tolist()),
+            "gates": json.dumps(draw.gates.tolist()),
+            "obstacles": json.dumps(draw.obstacles.tolist()),
+        }
+        scene = lsy_scene(draw.gates, draw.obstacles)
+        return Recorder(self.out / f"episode_{index:03d}.mcap", metadata, scene, WallClock())
+
+    def _write(self, result: LsyResult, contestant: LsyContestant) -> None:
+        assert self.out is not None
+        document = {
+            "format": FORMAT,
+            "contract": "lsy_drone_racing",
+            **summary(result),
+            "episodes": [asdict(episode) for episode in result.episodes],
+            "provenance": {
+                "versions": versions(),
+                "machine": machine(),
+                "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+                "level": self.level.name,
+                "level_file": self.level.config,
+                "profile": "successor",
+                "rng": self.level.rng.value,
+                "seed": self.seed,
+                "submission": str(self._file),
+                "submission_sha256": contestant.digest,
+                "contestant": contestant.description,
+            },
+        }
+        document["isolated"] = self.isolated
+        text = json.dumps(shown_in(document), indent=2)
+        (self.out / "result.json").write_text(text + "\n")
+
+
+def summary(result: LsyResult) -> dict[str, Any]:
+    """What an evaluation comes to, as plain data."""
+    return {
+        "success_rate": result.success_rate,
+        "mean_time": result.mean_time,
+        "successes": sum(e.success for e in result.episodes),
+        "episodes_flown": len(result.episodes),
+        "episodes_requested": result.requested,
+        "seed": result.seed,
+    }
+
+
+def _remove_if_empty(folder: Path) -> None:
+    with contextlib.suppress(OSError):
+        folder.rmdir()
+
+
+def lsy_table(result: LsyResult) -> Any:
+    """Rich table, a row an episode."""
+    from rich import box
+    from rich.table import Table
+
+    shown = Table(box=box.SIMPLE, header_style="bold", collapse_padding=True, pad_edge=False)
+    shown.add_column("#", justify="right")
+    shown.add_column("termination", no_wrap=True)
+    for name in ("time s", "gates", "compute ms\np50/max"):
+        shown.add_column(name, justify="right", no_wrap=True)
+    for e in result.episodes:
+        style = "green" if e.success else "red"
+        c = e.compute_ms
+        shown.add_row(
+            str(e.index + 1),
+            f"[{style}]{e.termination}[/{style}]",
+            f"{e.time:.2f}",
+            f"{e.gates_passed}/{e.gates}",
+            f"{c['p50']:.2g}/{c['max']:.2g}" if c else "-",
+        )
+    return shown
+
+
+def tell(result: LsyResult, console: Console) -> None:
+    """Print the table, notes and errors."""
+    console.print(lsy_table(result))
+    for episode in result.episodes:
+        for note in episode.notes:
+            text = f"episode {episode.index + 1}: {note}"
+            console.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
+    if result.error is not None:
+        console.print(result.error, style="red", markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,58 @@
+"""Ends foreign code in this process that does not return in time."""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+_AGAIN = 1.0  # s, until it is interrupted once more, should it have caught the first
+_GRACE = 20.0  # s of processor time, within which that must have ended it
+_AT_ONCE = 1e-3  # s
+_STDERR = 2
+
+
+class TimeIsUp(BaseException):
+    """Raised in code that :func:`bounded` has run out of patience with; not to be caught by it."""
+
+
+@contextlib.contextmanager
+def bounded(seconds: float) -> Iterator[None]:
+    """Raise :class:`TimeIsUp` in the ``with`` block once it has run for ``seconds`` s of wall time.
+
+    Works in the main thread, where signals arrive; elsewhere it does nothing. Compiled code that
+    never returns to the interpreter cannot be interrupted: after another 20 s of its processor
+    the program says where it hangs and is ended by SIGPROF.
+    """
+    if threading.current_thread() is not threading.main_thread() or seconds <= 0.0:
+        yield
+        return
+
+    def ring(number: int, frame: Any) -> None:
+        raise TimeIsUp
+
+    _last_resort()
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_PROF, seconds + _GRACE)
+    began = time.perf_counter()
+    due, again = signal.setitimer(signal.ITIMER_REAL, seconds, _AGAIN)
+    try:
+        yield
+    finally:
+        # Whoever has set an alarm of their own gets it, if late.
+        left = max(due - (time.perf_counter() - began), _AT_ONCE) if due else 0.0
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_REAL, left, again)
+
+
+@cache
+def _last_resort() -> None:
+    """Have SIGPROF tell where the program is, without the interpreter's help, and end it."""
+    faulthandler.register(signal.SIGPROF, file=_STDERR, all_threads=False, chain=True)

@@ -1,0 +1,212 @@
+"""One episode of lsy_drone_racing: its loop, as its scripts run it, on virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from crazyarena.clock import Clock, WallClock
+from crazyarena.crazyswarm_compat import commands as cs
+from crazyarena.errors import InputError
+from crazyarena.levels.lsy.draw import LsyDraw
+from crazyarena.levels.lsy.schema import LsyLevel
+from crazyarena.runner.contestant.contract_2022.command_check import Asked
+from crazyarena.runner.contestant.contract_lsy.dialogue import (
+    EPISODE_HOOKS,
+    LsyAnswer,
+    LsyContestant,
+    LsyQuestion,
+    Told,
+)
+from crazyarena.runner.judging import verdict_row as vd
+from crazyarena.runner.judging.lsy_rules import GATES_PASSED, LsyEvent, LsyReferee, LsyVerdict
+from crazyarena.runner.judging.result import CONTROLLER_ERROR, INTERRUPTED, percentiles_ms
+from crazyarena.runner.records.lsy_scene import drawn_scene
+from crazyarena.runner.records.recorder import Recorder
+from crazyarena.sim_backend.successor import SuccessorWorld
+from crazyarena.sim_backend.trace import TR_CONTACT, TR_TIME
+
+CONTROLLER_FINISHED = "CONTROLLER FINISHED"
+_FULLSTATE = 1  # the number of that verb in recordings
+COMMAND_LAYOUT = {
+    "state": "asked_args, sent_args: a full state",
+    "attitude": "asked_args, sent_args: roll, pitch, yaw (rad) in 6 to 8, thrust (N) in 10",
+}
+"""What commands look like in recordings, by control mode."""
+_DRAWN_EVERY = 5  # steps
+_QUICK = 3  # steps: one that finishes so soon has most likely forgotten step_callback
+
+
+@dataclass
+class LsyEpisodeResult:
+    """Summary of an episode. Times in s.
+
+    time: as lsy_drone_racing counts it: the index of the last step over the rate.
+    flight_time: the same with the last step. notes: where our rules, or the real race, would have
+    decided otherwise, and hints.
+    """
+
+    index: int
+    termination: str
+    success: bool
+    time: float
+    flight_time: float
+    gates_passed: int
+    gates: int
+    steps: int
+    gate_times: list[float]
+    compute_ms: dict[str, float]
+    construct_ms: float
+    wall_time: float
+    error: str | None = None
+    notes: list[str] = field(default_factory=list)
+    events: list[LsyEvent] = field(default_factory=list)
+    files: dict[str, str] = field(default_factory=dict)
+
+
+class LsyEpisode:
+    """Flies one episode; the caller closes contestant and recorder."""
+
+    def __init__(
+        self,
+        index: int,
+        level: LsyLevel,
+        contestant: LsyContestant,
+        world: SuccessorWorld,
+        referee: LsyReferee,
+        *,
+        recorder: Recorder | None = None,
+        on_step: Callable[[int, float], None] | None = None,
+        wall: Clock | None = None,
+    ) -> None:
+        self._index = index
+        self._level = level
+        self._contestant = contestant
+        self._world = world
+        self._referee = referee
+        self._recorder = recorder
+        self._on_step = on_step
+        self._wall = wall if wall is not None else WallClock()
+        self._seconds: list[float] = []
+        self._events: list[LsyEvent] = []
+        self._error: str | None = None
+
+    def fly(self, draw: LsyDraw) -> LsyEpisodeResult:
+        """Reset, construct, fly; raises InputError when the first controller cannot be made."""
+        started = self._wall.now()
+        self._world.reset(draw)
+        obs = self._referee.begin(draw, self._world.state)
+        construct = self._wall.now()
+        try:
+            self._contestant.make(obs, self._level.config)
+        except InputError as error:
+            if self._index == 0:
+                raise
+            self._error = str(error)
+            return self._result(CONTROLLER_ERROR, started, 0.0)
+        built = self._wall.now() - construct
+        try:
+            reason = self._loop(obs)
+            if reason != CONTROLLER_ERROR:
+                for name in EPISODE_HOOKS:
+                    _, trouble = self._contestant.hook(name)
+                    if trouble is not None:
+                        self._error, reason = trouble, CONTROLLER_ERROR
+                        break
+        except KeyboardInterrupt:
+            reason = INTERRUPTED
+        return self._result(reason, started, built)
+
+    def _loop(self, obs: dict[str, Any]) -> str:
+        rate = self._level.env.freq
+        told: Told | None = None
+        verdict: LsyVerdict | None = None
+        step = 0
+        while True:
+            over = verdict is not None and (verdict.terminated or verdict.truncated)
+            draw = self._recorder is not None and step % _DRAWN_EVERY == 0
+            asked = None if over else obs
+            answer = self._contestant.ask(LsyQuestion(step, told, asked, draw))
+            if answer.error is not None:
+                self._error = answer.error
+                return CONTROLLER_ERROR
+            if over:
+                assert verdict is not None
+                assert verdict.reason is not None
+                return verdict.reason
+            if answer.finished:
+                return CONTROLLER_FINISHED
+            assert answer.command is not None
+            self._seconds.append(answer.command_seconds)
+            # Commands travel in single precision there.
+            command = answer.command.astype(np.float32)
+            rows = self._world.step(command.astype(np.float64))
+            verdict = self._referee.judge(rows)
+            self._events += verdict.events
+            obs = verdict.obs
+            told = Told(command, obs, verdict.reward, verdict.terminated, verdict.truncated)
+            if self._recorder is not None:
+                self._record(self._recorder, step / rate, answer, rows, verdict)
+            step += 1
+            if self._on_step is not None:
+                self._on_step(self._index, step / rate)
+
+    def _record(
+        self,
+        recorder: Recorder,
+        time: float,
+        answer: LsyAnswer,
+        rows: np.ndarray,
+        verdict: LsyVerdict,
+    ) -> None:
+        c = answer.command
+        assert c is not None
+        command: cs.Command
+        if len(c) == 13:
+            command = cs.FullState(c[:3], c[3:6], c[6:9], float(c[9]), c[10:13])
+        else:
+            # See COMMAND_LAYOUT: the recording's commands have places for full states only.
+            nothing = np.full(3, np.nan)
+            command = cs.FullState(nothing, nothing, c[:3], float("nan"), np.array([c[3], 0, 0]))
+        recorder.command(time, Asked(_FULLSTATE, command), command)
+        row = np.full(vd.SIZE, np.nan)
+        row[vd.VD_TIME], row[vd.VD_TICKS] = rows[-1, TR_TIME], self._referee.steps * len(rows)
+        row[vd.VD_GATE] = int(verdict.obs["target_gate"])
+        row[vd.VD_COMPLETED] = verdict.reason == GATES_PASSED
+        row[vd.VD_CONTACT] = rows[-1, TR_CONTACT]
+        row[vd.VD_REWARD] = verdict.reward
+        row[vd.VD_DONE], row[vd.VD_TRUNCATED] = verdict.terminated, verdict.truncated
+        recorder.step(rows, row)
+        for event in verdict.events:
+            recorder.event(event.time, int(row[vd.VD_TICKS]), event.name, event.detail)
+        if answer.drawings:
+            recorder.scene(time, drawn_scene(answer.drawings, time))
+
+    def _result(self, reason: str, started: float, built: float) -> LsyEpisodeResult:
+        referee, rate = self._referee, self._level.env.freq
+        notes = list(referee.notes)
+        if reason == CONTROLLER_FINISHED and referee.steps <= _QUICK:
+            notes.append(
+                "the controller ended the episode at once: step_callback answers True where it "
+                "is not overridden"
+            )
+        return LsyEpisodeResult(
+            index=self._index,
+            termination=reason,
+            success=referee.passed == referee.gates,
+            time=max(0, referee.steps - 1) / rate,
+            flight_time=referee.steps / rate,
+            gates_passed=referee.passed,
+            gates=referee.gates,
+            steps=referee.steps,
+            gate_times=list(referee.gate_times),
+            compute_ms=percentiles_ms(np.array(self._seconds)),
+            construct_ms=built * 1e3,
+            wall_time=self._wall.now() - started,
+            error=self._error,
+            notes=notes,
+            events=self._events,
+        )

@@ -1,0 +1,108 @@
+"""Looks at the heading of vehicles that nobody guards.
+
+A body whose nose is not the vehicle's throws every vehicle out of its place, with an arena around
+it or without. This is all that is watched in flights without ``--guard``.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Mapping
+
+from crazyarena.crazyswarm_compat.backend import Backend
+from crazyarena.crazyswarm_compat.commands import Emergency
+from crazyarena.crazyswarm_compat.guard import FlightEnded
+from crazyarena.crazyswarm_compat.options import warn
+from crazyarena.mocap.estimator import FrameResult
+from crazyarena.safety.heading import HeadingWatch, Turned
+from crazyarena.safety.limits import Limits
+from crazyarena.safety.monitors import CUT_SURELY, WARN_SURELY
+from crazyarena.safety.observation import as_point
+from crazyarena.types import Pose, PoseFrame
+
+_FLYING = 1 << 4  # of supervisor.info
+_GYRO_GOOD = 0.15  # s, for the rates that the vehicle tells
+_LIFTED = 0.03  # m above where it stood
+_REPEATS = 15
+
+
+class Lookout:
+    """Warns of turned bodies, and cuts the motors of those that are turned far.
+
+    Parameters
+    ----------
+    backend: the vehicle link.
+    bodies: vehicle id by the name of its body.
+    """
+
+    def __init__(
+        self, backend: Backend, bodies: Mapping[str, int], limits: Limits | None = None
+    ) -> None:
+        self._backend = backend
+        self._bodies = dict(bodies)
+        self._limits = limits or Limits()
+        self._watches = {name: HeadingWatch() for name in bodies}
+        self._grounds: dict[str, float] = {}
+        self._warned: set[str] = set()
+        self._cut: dict[str, int] = {}
+        self._told: deque[tuple[str, bool, str]] = deque()
+        self._lock = threading.Lock()
+
+    def on_frame(self, frame: PoseFrame, result: FrameResult) -> None:
+        """A pose frame has been through the estimator; any thread."""
+        with self._lock:
+            for name, pose in frame.bodies.items():
+                if name in self._bodies and name in result.accepted:
+                    self._look(name, pose, frame.timestamp)
+
+    def _look(self, name: str, pose: Pose, captured: float) -> None:
+        vehicle, watch = self._bodies[name], self._watches[name]
+        if name in self._cut:
+            self._stop(name)
+            return
+        told = self._backend.telemetry(vehicle)
+        own, height = told.state, float(pose.position[2])
+        if own is None or not (told.supervisor or 0) & _FLYING:
+            self._grounds[name] = height
+            watch.reset()
+            return
+        if height < self._grounds.get(name, height) + _LIFTED or not own.angular_velocity.any():
+            return
+        if captured - own.timestamp > _GYRO_GOOD:
+            return
+        x, y, z, w = pose.quaternion.tolist()
+        gyro = as_point(own.angular_velocity)
+        turned = watch.update(captured, as_point(pose.position), (x, y, z, w), gyro)
+        self._judge(name, turned)
+
+    def _judge(self, name: str, turned: Turned) -> None:
+        n, angle, yaw = self._limits, abs(turned.angle), abs(turned.yaw)
+        far = angle > n.turn_cut and turned.surely >= CUT_SURELY * n.turn_cut
+        if far or yaw > n.yaw_cut:
+            self._cut[name] = 0
+            self._stop(name)
+            self._told.append((name, True, turned.remedy))
+            return
+        slightly = angle > n.turn_warn and turned.surely >= WARN_SURELY * n.turn_warn
+        if (slightly or yaw > n.yaw_warn) and name not in self._warned:
+            self._warned.add(name)
+            self._told.append((name, False, turned.remedy))
+
+    def _stop(self, name: str) -> None:
+        if self._cut[name] < _REPEATS:
+            self._cut[name] += 1
+            self._backend.send(Emergency(), self._bodies[name])
+
+    def check(self) -> None:
+        """Say what was found, in the script's thread; raises FlightEnded for what was cut."""
+        while self._told:
+            name, cut, text = self._told.popleft()
+            if cut:
+                raise FlightEnded(f"{name}: motors cut: {text}")
+            warn(f"{name}: {text}")
+
+
+def open_lookout(backend: Backend, bodies: Mapping[str, int]) -> Lookout:
+    """Factory named in the registry of backends."""
+    return Lookout(backend, bodies)

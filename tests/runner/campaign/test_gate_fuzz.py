@@ -1,0 +1,63 @@
+"""Random hostile scripts stay inside; and what gets out is shrunk to what it needs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from crazyarena.runner.campaign import gate_fuzz
+from crazyarena.runner.campaign.gate_fuzz import Call, Outcome, Script, draw_script, fly, shrink
+
+ALLOWED = 0.10  # m
+
+
+def test_a_seed_is_a_script():
+    def names(seed):
+        return [(call.name, call.wait) for call in draw_script(seed).calls]
+
+    assert names(3) == names(3)
+    assert names(3) != names(4)
+    assert draw_script(3, "refuse").policy == "refuse"
+    drawn = {call.name for seed in range(200) for call in draw_script(seed).calls}
+    assert drawn == {row[0] for row in gate_fuzz._CALLS}
+
+
+def test_without_the_gate_something_gets_out(monkeypatch):
+    # What is measured can be more than nothing.
+    calls = (
+        Call("takeoff", (1.0, 1.5), 2.0),
+        Call("goTo", ([2.9, 0.0, 1.0], 0.0, 1.2), 1.0),
+        Call("stop", (), 3.0),
+    )
+    script = Script(0, "box", "clamp", 2, 1, ",link_loss_margin=inf", calls)
+    assert fly(script).excursion > -0.5
+    assert fly(replace(script, options="")).excursion < ALLOWED
+
+
+@pytest.mark.parametrize("seed", [16, 131, 227])
+def test_a_flight_stays_inside(seed):
+    outcome = fly(draw_script(seed))
+    assert not outcome.is_bad(ALLOWED), outcome.ended
+    assert outcome.passed > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", ["clamp", "refuse"])
+@pytest.mark.parametrize("seed", range(3000, 3030))
+def test_more_flights_stay_inside(seed, policy):
+    outcome = fly(draw_script(seed, policy))
+    assert not outcome.is_bad(ALLOWED), outcome.ended
+
+
+def test_shrinking_keeps_what_it_needs(monkeypatch):
+    def flown(script):
+        names = [call.name for call in script.calls]
+        bad = "b" in names and "e" in names and names.index("b") < names.index("e")
+        return Outcome(script, excursion=1.0 if bad else -1.0)
+
+    monkeypatch.setattr(gate_fuzz, "fly", flown)
+    calls = tuple(Call(name, (), 0.0) for name in "abcdefgh")
+    script = Script(0, "box", "clamp", 2, 1, "", calls)
+    small = shrink(script, lambda outcome: outcome.is_bad(ALLOWED))
+    assert [call.name for call in small.calls] == ["b", "e"]

@@ -1,0 +1,89 @@
+"""``dry-run`` and ``evaluate`` of lsy_drone_racing's controllers from the command line."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from crazyarena.runner.cli import make_app
+from tests.runner.lsy_controllers import HEAD, STATE, controller
+
+runner = CliRunner()
+
+
+@pytest.fixture
+def call(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def run(source, *arguments):
+        (tmp_path / "mine.py").write_text(source)
+        return runner.invoke(make_app(), [*arguments])
+
+    return run
+
+
+def test_a_dry_run_needs_no_flag(call, tmp_path):
+    result = call(STATE, "dry-run", "mine.py", "--seed", "1", "--out", "out")
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert document["contract"] == "lsy_drone_racing"
+    assert document["success_rate"] == 1.0
+    assert document["provenance"]["seed"] == 1
+    assert document["provenance"]["level"] == "lsy-level0"
+    assert document["episodes"][0]["files"] == {"recording": "episode_000.mcap"}
+    assert (tmp_path / "out" / "episode_000.mcap").is_file()
+
+
+def test_the_same_seed_gives_the_same_recording(call, tmp_path):
+    for out in ("one", "two"):
+        call(STATE, "dry-run", "mine.py", "--seed", "4", "--out", out, "--level", "lsy/level2")
+    one, two = (tmp_path / out / "episode_000.mcap" for out in ("one", "two"))
+    assert one.read_bytes() == two.read_bytes()
+
+
+def test_a_level_file_of_theirs_and_its_warnings(call, tmp_path):
+    from crazyarena.levels.lsy import load
+
+    text = (load._FOLDER / "level0.toml").read_text()
+    (tmp_path / "mine.toml").write_text(text.replace("camera =", "kamera ="))
+    result = call(STATE, "dry-run", "mine.py", "--level", "mine.toml", "--no-record")
+    assert result.exit_code == 0, result.output
+    assert "sim.kamera: not known here, ignored" in result.output
+
+
+def test_bad_input_exits_with_2(call):
+    wrong = [
+        (STATE, ("dry-run", "mine.py", "--level", "level0"), "none of its levels"),
+        (STATE, ("dry-run", "--level", "lsy/level0"), "pass the file"),
+        (STATE, ("dry-run", "mine.py", "--level", "lsy/level9"), "lsy/level0"),
+        (STATE, ("evaluate", "mine.py", "--set", "env.freq=7"), "divisor"),
+        (HEAD + "x = 1\n", ("evaluate", "mine.py"), "derives from"),
+        (STATE, ("evaluate", "other.py"), "no such file"),
+    ]
+    for source, arguments, words in wrong:
+        result = call(source, *arguments)
+        assert result.exit_code == 2, (arguments, result.output)
+        assert words in result.output
+
+
+def test_evaluation_counts_and_exits_by_half(call):
+    arguments = ("evaluate", "mine.py", "--runs", "2", "--seed", "1")
+    good = call(STATE, *arguments, "--level", "lsy/level0")
+    assert good.exit_code == 0, good.output
+    mean, rate = good.output.strip().splitlines()[-1].split(",")
+    assert float(mean) == pytest.approx(13.86, abs=0.1)
+    assert rate == "1.00"
+    bad = call(controller("return np.zeros(13)"), *arguments, "--json")
+    assert bad.exit_code == 1
+    document = json.loads(bad.stdout[bad.stdout.index("{") :])
+    assert document["passed"] is False
+    assert document["mean_time"] is None
+    assert [r["termination"] for r in document["runs"]] == ["CONTROLLER FINISHED"] * 2
+
+
+def test_levels_are_listed_and_shown(call):
+    listed = call(STATE, "levels")
+    assert "lsy/level3" in listed.output
+    shown = call(STATE, "levels", "lsy/level3")
+    assert "randomize = true" in shown.output
+    assert call(STATE, "levels", "none.toml").exit_code == 2

@@ -1,0 +1,104 @@
+"""Controllers of lsy_drone_racing in a process of their own."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from crazyarena.errors import InputError
+from crazyarena.runner.contestant.contract_lsy.dialogue import Drawing, LsyAnswer
+from crazyarena.runner.contestant.sandbox import lsy, wire
+from crazyarena.runner.lsy_run import LsyRun
+from tests.runner.lsy_controllers import LOG, STATE, controller
+
+
+def fly(tmp_path, source, out="out", **options):
+    file = tmp_path / "code" / "mine.py"
+    file.parent.mkdir(exist_ok=True)
+    file.write_text(source)
+    options = {"sandbox": True, "seed": 1, "record": False} | options
+    return LsyRun(file, "lsy/level0", out=tmp_path / out, **options).run()
+
+
+def test_flies_the_same_bytes_as_in_the_process(tmp_path):
+    for out, sandbox in (("one", True), ("two", False)):
+        result = fly(tmp_path, STATE, out, sandbox=sandbox, record=True)
+        assert result.episodes[0].time == pytest.approx(13.86, abs=0.1)
+    one, two = ((tmp_path / o / "episode_000.mcap").read_bytes() for o in ("one", "two"))
+    assert one == two
+
+
+def test_the_seed_is_not_in_its_config(tmp_path):
+    body = "raise RuntimeError(f'seed {self.seed}')"
+    keep = "\n    def __init__(self, obs, info, config):\n        self.seed = config.env.seed\n"
+    source = controller(body).replace("class C(Controller):\n", f"class C(Controller):{keep}")
+    assert "seed -1" in fly(tmp_path, source).error
+
+
+def test_a_new_object_an_episode(tmp_path):
+    result = fly(tmp_path, LOG, episodes=2)
+    assert [e.termination for e in result.episodes] == ["CONTROLLER FINISHED"] * 2
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("raise ValueError('no way')", "ValueError: no way"),
+        ("import os; os._exit(3)", "exit code 3"),
+        ("import time; time.sleep(100)", "no answer within 1 s"),
+        ("return [1.0]", "expected 13"),
+    ],
+)
+def test_whatever_it_does_ends_its_own_trial(tmp_path, monkeypatch, body, words):
+    monkeypatch.setattr(lsy, "_PATIENCE", 1.0)
+    result = fly(tmp_path, controller(body), episodes=2)
+    assert [e.termination for e in result.episodes] == ["CONTROLLER ERROR"]
+    assert words in result.error
+
+
+def test_a_load_that_fails_is_bad_input(tmp_path):
+    with pytest.raises(InputError, match=r"code/mine\.py.*ZeroDivisionError"):
+        fly(tmp_path, STATE + "1 / 0\n")
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
+def test_code_compiled_at_run_time_and_files_beside_it(tmp_path):
+    """What code generators of optimal control do."""
+    (tmp_path / "code").mkdir()
+    (tmp_path / "code" / "model.json").write_text(json.dumps({"k": 3}))
+    body = """
+import ctypes, json, subprocess
+from pathlib import Path
+k = json.loads((Path(__file__).parent / "model.json").read_text())["k"]
+folder = Path("c_generated_code"); folder.mkdir(exist_ok=True)
+(folder / "f.c").write_text(f"double f(double x) {{ return {k} * x; }}")
+subprocess.run(["gcc", "-shared", "-fPIC", "-o", "f.so", "f.c"], cwd=folder, check=True)
+f = ctypes.CDLL(str((folder / "f.so").resolve())).f
+f.restype, f.argtypes = ctypes.c_double, [ctypes.c_double]
+assert f(2.0) == 6.0
+return np.zeros(13)
+"""
+    assert fly(tmp_path, controller(body)).error is None
+
+
+def test_answers_and_drawings_survive_the_channel():
+    points = np.arange(12.0).reshape(4, 3)
+    answer = LsyAnswer(5, np.arange(4.0), drawings=[Drawing("line", points, (1, 0, 0.5, 1), 2.0)])
+    back = wire.decode(wire.encode_lsy(answer))
+    assert isinstance(back, LsyAnswer)
+    np.testing.assert_array_equal(back.command, answer.command)
+    np.testing.assert_array_equal(back.drawings[0].points, points)
+    assert back.drawings[0].rgba == (1, 0, 0.5, 1)
+    big = [Drawing("points", np.zeros((1000, 3)), (1, 1, 1, 1), 1.0)] * 3
+    packet = wire.encode_lsy(LsyAnswer(5, np.arange(4.0), drawings=big))
+    assert len(packet) <= wire.MAX_PACKET
+    assert len(wire.decode(packet).drawings) == 2
+
+
+@pytest.mark.parametrize("cut", [1, 30, 60])
+def test_torn_packets_are_refused(cut):
+    drawn = [Drawing("line", np.zeros((2, 3)), (1, 1, 1, 1), 1.0)]
+    packet = wire.encode_lsy(LsyAnswer(5, np.arange(4.0), drawings=drawn))
+    with pytest.raises(wire.ChannelError):
+        wire.decode(packet[:-cut])
