@@ -80,7 +80,7 @@ def dry_run(
         if margins:
             from crazyarena.runner.cli.margins import show
 
-            if show(submission, level, set_ or [], seed, out, options, vehicle):
+            if show(submission, level or "sim2real", set_ or [], seed, out, options, vehicle):
                 return
             raise typer.Exit(EXIT_NOT_CLEAN)
         if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options):
