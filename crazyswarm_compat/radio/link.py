@@ -11,14 +11,9 @@ from cflib.crtp.crtpstack import CRTPPacket, CRTPPort
 
 from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.crazyswarm_compat import pitfalls
 from crazyarena.crazyswarm_compat.checks import beyond_memory, verb
 from crazyarena.crazyswarm_compat.config import VehicleConfig
-from crazyarena.crazyswarm_compat.pitfalls import (
-    IGNORED,
-    MELLINGER,
-    NOT_NOTIFIED,
-    VELOCITY_WITH_MELLINGER,
-)
 from crazyarena.crazyswarm_compat.radio import packets as pk
 from crazyarena.crazyswarm_compat.radio.avoidance import AVOIDANCE_SWITCH, avoidance_params
 from crazyarena.crazyswarm_compat.radio.budget import Budget
@@ -345,9 +340,11 @@ class VehicleLink:
             self.group_mask = int(command.group_mask)
         upload = command.trajectory_id if isinstance(command, c.StartTrajectory) else None
         if takes_over and self.outbox.streaming and not isinstance(command, c.Stop):
-            self._doubt(name, NOT_NOTIFIED)
+            self._doubt(name, pitfalls.NOT_NOTIFIED)
         if upload is not None and upload not in self._uploaded:
-            self._doubt(name, f"trajectory {upload} was not uploaded by this program; {IGNORED}")
+            self._doubt(
+                name, f"trajectory {upload} was not uploaded by this program; {pitfalls.IGNORED}"
+            )
         item = HighLevelItem(packet, name, takes_over, self._done(name), upload)
         self.outbox.command(item, self._clock.now())
 
@@ -361,9 +358,9 @@ class VehicleLink:
         if (
             begins
             and isinstance(command, (c.VelocityWorld, c.Hover))
-            and self.parameters.cached(_CONTROLLER) == MELLINGER
+            and self.parameters.cached(_CONTROLLER) == pitfalls.MELLINGER
         ):
-            self._doubt(verb(command), VELOCITY_WITH_MELLINGER)
+            self._doubt(verb(command), pitfalls.VELOCITY_WITH_MELLINGER)
 
     def _done(self, name: str) -> Callable[[int | None, str], None]:
         def done(code: int | None, reason: str) -> None:
