@@ -312,8 +312,11 @@ class DryRun:
         origin["rig"] = world.rig.description
         if self._vehicle is not None:
             from crazyarena.sim_backend.vehicles import dump_vehicle
+            from crazyarena.sim_backend.vehicles.hover import advice
 
             origin["vehicle_file"] = dump_vehicle(self._vehicle)
+            if (told := advice(self._vehicle)) is not None:
+                self._console.print(told, highlight=False, markup=False, soft_wrap=True)
         crew = self._crew(world)
         return ArenaStaging(
             crew,

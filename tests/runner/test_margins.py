@@ -55,7 +55,8 @@ def test_each_number_is_varied_alone_and_all_verdicts_are_told(monkeypatch):
     found = {m.axis.name: m for m in result.margins}
     assert found["rotor lag"].value == pytest.approx(0.11, abs=0.01)
     assert found["drag"].value == pytest.approx(2.0, abs=0.15)
-    assert found["weakness"].beyond and found["camera noise"].beyond
+    assert found["weakness"].beyond
+    assert found["camera noise"].beyond
     assert result.verdicts[0.12, 1.0] == "collision"
     assert result.verdicts[0.10, 1.5] == "completed"
     assert len(result.verdicts) == 18
@@ -66,6 +67,7 @@ def test_each_number_is_varied_alone_and_all_verdicts_are_told(monkeypatch):
 def test_a_nominal_failure_has_no_margins(monkeypatch):
     monkeypatch.setattr(mg.MarginRun, "_end", lambda self, conditions, vehicle: "safety")
     result = mg.MarginRun(None, "sim2real").run()
-    assert not result.completed and not result.margins
+    assert not result.completed
+    assert not result.margins
     assert result.nominal == "safety"
     assert len(mg.tables(result)) == 1
