@@ -33,6 +33,7 @@ from crazyarena.runner.warm_up import compile_missing, parts_of
 
 # What only arena levels need is imported when one is flown: it would double the start-up.
 if TYPE_CHECKING:
+    from crazyarena.mocap.camera_model import CameraModel
     from crazyarena.runner.trial.checklist import FlightChecklist
     from crazyarena.runner.trial.injection import Injection
     from crazyarena.runner.trial.phase import MeasuredTrack
@@ -55,10 +56,14 @@ def example_racer() -> Path:
 
 
 def make_world(
-    level: Level, seed: int, limits: Limits | None = None, supply: VehicleSupply | None = None
+    level: Level,
+    seed: int,
+    limits: Limits | None = None,
+    supply: VehicleSupply | None = None,
+    cameras: CameraModel | None = None,
 ) -> World:
     """Return the simulated world of a level's profile; ``seed`` is that of its noise, ``limits``
-    those of its watchdog, ``supply`` of the vehicles of an arena."""
+    those of its watchdog, ``supply`` of the vehicles of an arena, ``cameras`` its own."""
     if level.profile is Profile.COMPETITION:
         from crazyarena.sim_backend.competition import CompetitionWorld
 
@@ -66,7 +71,7 @@ def make_world(
     from crazyarena.runner.rig.rig import simulated
     from crazyarena.runner.trial.tracked_world import TrackedWorld
 
-    return TrackedWorld(simulated(level, seed, limits=limits, supply=supply))
+    return TrackedWorld(simulated(level, seed, cameras, limits=limits, supply=supply))
 
 
 def results_folder(out: Path | None, submission: Path, level: str) -> Path:
@@ -109,6 +114,7 @@ class DryRun:
     noise_seed: of the rig's measurement noise; that of the level's draws by default.
     vehicle: which vehicle flies, on arena levels; that of the level by default.
     spread: whether a vehicle is drawn from the spread of the model; as the level says by default.
+    cameras: of an arena, instead of the usual ones.
     """
 
     def __init__(
@@ -126,7 +132,9 @@ class DryRun:
         noise_seed: int | None = None,
         vehicle: VehicleChoice | None = None,
         spread: bool | None = None,
+        cameras: CameraModel | None = None,
     ) -> None:
+        self._cameras = cameras
         self._level = load_level(level, overrides)
         self._vehicle: Vehicle | None = None
         self._choose(vehicle, spread)
@@ -230,7 +238,7 @@ class DryRun:
 
     def _make_world(self) -> World:
         seed = self._seed if self._noise_seed is None else self._noise_seed
-        return make_world(self._level, seed, self._limits(), self.supply)
+        return make_world(self._level, seed, self._limits(), self.supply, self._cameras)
 
     def _limits(self) -> Limits:
         """Of the watchdog."""
@@ -304,8 +312,11 @@ class DryRun:
         origin["rig"] = world.rig.description
         if self._vehicle is not None:
             from crazyarena.sim_backend.vehicles import dump_vehicle
+            from crazyarena.sim_backend.vehicles.hover import advice
 
             origin["vehicle_file"] = dump_vehicle(self._vehicle)
+            if (told := advice(self._vehicle)) is not None:
+                self._console.print(told, highlight=False, markup=False, soft_wrap=True)
         crew = self._crew(world)
         return ArenaStaging(
             crew,

@@ -76,12 +76,9 @@ class VehicleLink:
         self.outbox = Outbox(options.outbox, budget, self._take_over, self._round_trip.patience)
         self._packets_sent = 0
         self.telemetry = TelemetryReader(
-            clock,
-            options.state_rate,
-            options.health_rate,
-            self._packets_out,
-            options.plant_rate,
+            clock, options.state_rate, options.health_rate, self._packets_out
         )
+        self.telemetry.plant_rate = options.plant_rate
         self.pings = Pings(self._round_trip)
         self.client: Client | None = None
         self.connected = False

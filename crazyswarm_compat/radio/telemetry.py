@@ -149,17 +149,15 @@ class TelemetryReader:
     ----------
     clock: session clock.
     state_rate, health_rate: of the two blocks, Hz; 0 for none.
-    plant_rate: of motors, accelerometer and voltage, Hz; 0 for none.
     sent: how many packets have gone to the vehicle by now.
+
+    Attributes
+    ----------
+    plant_rate: of motors, accelerometer and voltage, Hz, from the next connection on; 0 for none.
     """
 
     def __init__(
-        self,
-        clock: Clock,
-        state_rate: float,
-        health_rate: float,
-        sent: Callable[[], int],
-        plant_rate: float = 0.0,
+        self, clock: Clock, state_rate: float, health_rate: float, sent: Callable[[], int]
     ) -> None:
         self._clock = clock
         self._sent = sent
@@ -167,7 +165,7 @@ class TelemetryReader:
         self._uplink = (0, 0)  # sent, arrived
         self._sent_before = 0
         self._rates = (state_rate, health_rate)
-        self._plant_rate = plant_rate
+        self.plant_rate = 0.0
         self._lock = threading.Lock()
         self._blocks: list[Block] = []
         self._divisor = 1
@@ -203,9 +201,9 @@ class TelemetryReader:
             )
 
         plant = (*_MOTORS, *_ACCELEROMETER, _MILLIVOLTS)
-        if self._plant_rate and all(knows(client, name) for name in plant):
+        if self.plant_rate and all(knows(client, name) for name in plant):
             self._blocks.append(
-                Block(client, "plant", plant, _period_ms(self._plant_rate), self._plant)
+                Block(client, "plant", plant, _period_ms(self.plant_rate), self._plant)
             )
 
     def slow_down(self, divisor: int) -> None:
@@ -242,8 +240,7 @@ class TelemetryReader:
 
     def _update(self, **changes: Any) -> None:
         with self._lock:
-            old = self._last
-            self._last = replace(old, **changes)
+            self._last = replace(self._last, **changes)
 
     def _motion(self, values: Mapping[str, float]) -> None:
         now = self._clock.now()

@@ -61,6 +61,14 @@ def dry_run(
     vehicle_spread: VehicleSpread = None,
     options: FlightOptions,
     sandbox: Sandbox = None,
+    margins: Annotated[
+        bool,
+        typer.Option(
+            "--margins",
+            help="Find the largest rotor lag, drag, weakness, camera latency and noise with which "
+            "the flight is still completed (arena levels; some 50 flights).",
+        ),
+    ] = False,
 ) -> None:
     """Fly a submission in simulation and judge it by the competition's rules.
 
@@ -69,6 +77,12 @@ def dry_run(
     """
     with bad_input_exits():
         options = replace(options, sandbox=sandbox, secret=secret)
+        if margins:
+            from crazyarena.runner.cli.margins import show
+
+            if show(submission, level or "sim2real", set_ or [], seed, out, options, vehicle):
+                return
+            raise typer.Exit(EXIT_NOT_CLEAN)
         if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options):
             return
         from crazyarena.runner.dry_run import DryRun

@@ -22,6 +22,9 @@ from crazyarena.crazyswarm_compat.radio import (
     TrajectoryUploaded,
 )
 from crazyarena.errors import BackendError, CommandError, InputError
+from crazyarena.sim_backend.arena import ArenaFleet
+from crazyarena.sim_backend.crtp.server import VirtualServer
+from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
 from crazyarena.sim_backend.crtp.toc import Table
 from crazyarena.types import Pose
 from tests.crazyswarm_compat.radio.conftest import Hangar
@@ -363,6 +366,30 @@ class TestPoses:
         position, attitude = flight.measured
         assert position == pytest.approx((0.1, 0.2, 0.0))
         assert attitude is None
+
+
+def test_motors_and_accelerometer_are_told_where_they_are_asked_for():
+    """Through the telemetry of the backend, as whoever records a flight reads it."""
+    fleet = ArenaFleet([(0.0, 0.0, 0.0)])
+    fleet.advance(1)
+    with VirtualServer(VirtualSwarm(fleet), port=0) as server:
+        config = VehicleConfig(1, "cf1", (0.0, 0.0, 0.0), uri=server.uris[0])
+        options = RadioOptions(plant_rate=50.0, cache=None)
+        backend = RadioBackend(FleetConfig((config,), "test"), WallClock(), options)
+        try:
+            end = time.monotonic() + 10.0
+            told = backend.telemetry(1)
+            # The accelerometer's filter has to settle after boot.
+            while told.acceleration is None or told.acceleration[2] < 0.96 or not told.link_quality:
+                assert time.monotonic() < end, told
+                time.sleep(0.02)
+                told = backend.telemetry(1)
+        finally:
+            backend.close()
+    assert told.motors.shape == (4,)
+    assert told.acceleration == pytest.approx([0.0, 0.0, 1.0], abs=0.05)
+    assert 3.0 < told.battery < 4.3
+    assert told.supervisor is not None
 
 
 class TestCollisionAvoidance:
