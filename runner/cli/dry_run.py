@@ -145,6 +145,11 @@ def _flew_lsy(
             "--secret: levels of lsy_drone_racing draw from 31 bits; use --sandbox "
             "--set env.seed=-1"
         )
+    if options.compute not in (None, "free"):
+        raise InputError(
+            f"--compute {options.compute}: in lsy_drone_racing's simulation thinking costs no "
+            "time; leave it out"
+        )
     from rich.console import Console
 
     from crazyarena.runner.dry_run import results_folder

@@ -11,7 +11,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 @pytest.mark.parametrize("mode", ["state", "attitude"])
 def test_examples_pass_the_gates_of_a_level_that_moves(mode):
-    """One episode here; what share of a hundred they pass is in docs/lsy.md."""
+    """One episode here; what share of many they pass is in docs/lsy.md."""
     overrides = [f"env.control_mode={mode}"]
     run = LsyRun(EXAMPLES / f"racer_{mode}", "lsy/level1", overrides, seed=2)
     result = run.run()

@@ -56,6 +56,7 @@ def test_bad_input_exits_with_2(call):
         (STATE, ("dry-run", "mine.py", "--level", "level0"), "none of its levels"),
         (STATE, ("dry-run", "--level", "lsy/level0"), "pass the file"),
         (STATE, ("dry-run", "mine.py", "--level", "lsy/level9"), "lsy/level0"),
+        (STATE, ("dry-run", "mine.py", "--compute", "measured"), "costs no time"),
         (STATE, ("evaluate", "mine.py", "--set", "env.freq=7"), "divisor"),
         (HEAD + "x = 1\n", ("evaluate", "mine.py"), "derives from"),
         (STATE, ("evaluate", "other.py"), "no such file"),
