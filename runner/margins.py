@@ -59,7 +59,7 @@ class Conditions:
     def cameras(self) -> CameraModel | None:
         """The camera system, None for the usual one."""
         changes = {"latency": self.latency, "position_noise": self.noise}
-        known = {name: value for name, value in changes.items() if value is not None}
+        known: dict[str, Any] = {k: v for k, v in changes.items() if v is not None}
         return CameraModel(**known) if known else None
 
 

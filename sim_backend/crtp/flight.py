@@ -10,6 +10,7 @@ from crazyarena.sim_backend.firmware import commander as cm
 from crazyarena.sim_backend.firmware import stack_2026
 from crazyarena.sim_backend.firmware import supervisor as sv
 from crazyarena.sim_backend.firmware.parameters import default_row
+from crazyarena.sim_backend.vehicles.rows import WRITTEN
 from crazyarena.types import Pose
 
 _DEFAULTS = default_row(PARAMS, 2026)
@@ -101,9 +102,13 @@ class ArenaVehicle:
 
     def boot_param(self, name: str) -> float | None:
         """What the vehicle's model says of a parameter, where it differs from the firmware's own
-        default."""
+        default and is not for a ground station to write."""
         index = PARAM_INDEX.get(name)
-        if index is None or self.fleet.models[self.index].params[index] == _DEFAULTS[index]:
+        if (
+            index is None
+            or name in WRITTEN
+            or self.fleet.models[self.index].params[index] == _DEFAULTS[index]
+        ):
             return None
         return float(self.fleet.models[self.index].params[index])
 

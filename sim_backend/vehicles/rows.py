@@ -96,6 +96,10 @@ def _plant(vehicle: Vehicle) -> Array:
     return row
 
 
+WRITTEN = ("locSrv.extPosStdDev", "locSrv.extQuatStdDev")
+"""Parameters of a model that no firmware boots with: whoever flies writes them."""
+
+
 def told_params(vehicle: Vehicle) -> dict[str, float]:
     """``group.name`` -> value of the parameters that a vehicle flies with where they need not be
     its firmware's own: a ground station writes them, a simulated vehicle has them at once."""

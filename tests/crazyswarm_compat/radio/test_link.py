@@ -380,7 +380,12 @@ def test_motors_and_accelerometer_are_told_where_they_are_asked_for():
             end = time.monotonic() + 10.0
             told = backend.telemetry(1)
             # The accelerometer's filter has to settle after boot.
-            while told.acceleration is None or told.acceleration[2] < 0.96 or not told.link_quality:
+            while (
+                told.acceleration is None
+                or told.acceleration[2] < 0.96
+                or not told.link_quality
+                or told.supervisor is None
+            ):
                 assert time.monotonic() < end, told
                 time.sleep(0.02)
                 told = backend.telemetry(1)
