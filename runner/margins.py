@@ -58,9 +58,13 @@ class Conditions:
 
     def cameras(self) -> CameraModel | None:
         """The camera system, None for the usual one."""
-        changes = {"latency": self.latency, "position_noise": self.noise}
-        known: dict[str, Any] = {k: v for k, v in changes.items() if v is not None}
-        return CameraModel(**known) if known else None
+        if self.latency is None and self.noise is None:
+            return None
+        usual = CameraModel()
+        return CameraModel(
+            latency=usual.latency if self.latency is None else self.latency,
+            position_noise=usual.position_noise if self.noise is None else self.noise,
+        )
 
 
 @dataclass(frozen=True, slots=True)

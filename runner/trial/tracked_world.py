@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 # A row of what the vehicle tells of itself: time s, battery V, motors 4, accelerometer g 3.
 LOG_SIZE = 9
 _LOG_PERIOD = 0.0149  # s at least between rows
+_AT_REST = 100  # rows before an episode that are kept: the battery without load
+_IS_TIME = np.eye(1, LOG_SIZE)[0]
 
 
 class TrackedWorld:
@@ -60,14 +62,15 @@ class TrackedWorld:
     def begin(self) -> float:
         """Start the episode's time now; returns that, s on the session's clock."""
         self._rows.clear()
-        self._log.clear()
         self._epoch = self.clock.now()
+        self._log = [row - self._epoch * _IS_TIME for row in self._log[-_AT_REST:]]
         return self._epoch
 
     def reset(self, draw: Any) -> None:
         """Make ready for an episode; its time does not run before :meth:`begin`."""
         self.rig.stage(draw)
         self._rows.clear()
+        self._log.clear()
         self._last = None
         self._epoch = math.inf
 
@@ -130,10 +133,14 @@ class TrackedWorld:
         told = self.rig.backend.telemetry(self.rig.vehicle)
         if told.motors is None or told.acceleration is None or told.battery is None:
             return
-        if not math.isfinite(self._epoch) or told.timestamp - self._logged_at < _LOG_PERIOD:
+        if told.timestamp - self._logged_at < _LOG_PERIOD:
             return
         self._logged_at = told.timestamp
-        time = told.timestamp - self._epoch
+        time = told.timestamp
+        if math.isfinite(self._epoch):
+            time -= self._epoch
+        else:
+            del self._log[:-_AT_REST]
         self._log.append(np.array((time, told.battery, *told.motors, *told.acceleration)))
 
     def _row(self, pose: Pose, received: float) -> Array:
