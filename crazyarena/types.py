@@ -69,7 +69,8 @@ class Telemetry:
     battery V; link_quality 0..1; rssi dBm (negative); supervisor is the bit field of the
     firmware's ``supervisor.info``; state is the on-board estimate; power_state is ``pm.state``:
     0 on battery, 1 charging, 2 charged, 3 low, 4 empty; motors (4,) are the commands of M1..M4 as
-    shares of full scale; acceleration (3,) g is the specific force in body axes.
+    shares of full scale; acceleration (3,) g is the specific force in body axes; rates_at s is when
+    the angular velocity of ``state`` was told, if that is not the time of the state.
     """
 
     timestamp: float
@@ -81,6 +82,7 @@ class Telemetry:
     power_state: int | None = None
     motors: Vector | None = None
     acceleration: Vector | None = None
+    rates_at: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

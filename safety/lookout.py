@@ -19,10 +19,10 @@ from crazyarena.safety.heading import HeadingWatch, Turned
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import CUT_SURELY, WARN_SURELY
 from crazyarena.safety.observation import as_point
+from crazyarena.safety.pairing import Pairing
 from crazyarena.types import Pose, PoseFrame
 
 _FLYING = 1 << 4  # of supervisor.info
-_GYRO_GOOD = 0.15  # s, for the rates that the vehicle tells
 _LIFTED = 0.03  # m above where it stood
 _REPEATS = 15
 
@@ -43,6 +43,7 @@ class Lookout:
         self._bodies = dict(bodies)
         self._limits = limits or Limits()
         self._watches = {name: HeadingWatch() for name in bodies}
+        self._pairings = {name: Pairing() for name in bodies}
         self._grounds: dict[str, float] = {}
         self._warned: set[str] = set()
         self._cut: dict[str, int] = {}
@@ -57,7 +58,7 @@ class Lookout:
                     self._look(name, pose, frame.timestamp)
 
     def _look(self, name: str, pose: Pose, captured: float) -> None:
-        vehicle, watch = self._bodies[name], self._watches[name]
+        vehicle, watch, pairing = self._bodies[name], self._watches[name], self._pairings[name]
         if name in self._cut:
             self._stop(name)
             return
@@ -66,15 +67,13 @@ class Lookout:
         if own is None or not (told.supervisor or 0) & _FLYING:
             self._grounds[name] = height
             watch.reset()
+            pairing.reset()
             return
-        if height < self._grounds.get(name, height) + _LIFTED or not own.angular_velocity.any():
-            return
-        if captured - own.timestamp > _GYRO_GOOD:
-            return
-        x, y, z, w = pose.quaternion.tolist()
-        gyro = as_point(own.angular_velocity)
-        turned = watch.update(captured, as_point(pose.position), (x, y, z, w), gyro)
-        self._judge(name, turned)
+        if height >= self._grounds.get(name, height) + _LIFTED:
+            x, y, z, w = pose.quaternion.tolist()
+            pairing.pose(captured, as_point(pose.position), (x, y, z, w))
+        for sample in pairing.told(told):
+            self._judge(name, watch.update(*sample))
 
     def _judge(self, name: str, turned: Turned) -> None:
         n, angle, yaw = self._limits, abs(turned.angle), abs(turned.yaw)

@@ -35,12 +35,12 @@ from crazyarena.safety.monitors import Finding
 from crazyarena.safety.neighbours import nearest
 from crazyarena.safety.observation import Observation, Point, as_point
 from crazyarena.safety.old_poses import repeats
+from crazyarena.safety.pairing import Pairing
 from crazyarena.types import Pose, PoseFrame, Telemetry
 
 _TICK = 0.005  # s, without a frame
 _FEED_PERIOD = 0.1  # s
 _TELEMETRY_GOOD = 0.3  # s, for the vehicle's own estimate
-_GYRO_GOOD = 0.15  # s, for the rates that the vehicle tells
 _OFF_GROUND = 0.08  # m
 _LIFTED = 0.02  # m
 _DOWN_TIME = 1.0  # s, low and still, until a vehicle counts as standing
@@ -70,6 +70,7 @@ class _Watched:
     changed: float = math.inf
     latest: Observation | None = None
     heading: HeadingWatch = field(default_factory=HeadingWatch)
+    pairing: Pairing = field(default_factory=Pairing)
 
     def changes(self, pose: Pose, captured: float) -> None:
         """Note a measured pose; ``changed`` is when it last was another than the one before.
@@ -216,20 +217,17 @@ class Watchdog:
 
     def _compare_heading(self, watched: _Watched, pose: Pose, captured: float) -> None:
         """What a believed pose and the gyroscope say of each other, while the vehicle flies."""
-        own = self._gate.telemetry(watched.vehicle).state
-        # A gyroscope is never quite still: zeros are those of a vehicle that does not tell.
-        if self._gate.flying_since(watched.vehicle) is None or own is None:
+        told = self._gate.telemetry(watched.vehicle)
+        if self._gate.flying_since(watched.vehicle) is None or told.state is None:
             watched.heading.reset()
-        elif (
-            own.angular_velocity.any()
-            and captured - own.timestamp <= _GYRO_GOOD
-            # On the ground a vehicle is pushed by what it stands on.
-            and pose.position[2] > watched.ground + _LIFTED
-        ):
+            watched.pairing.reset()
+            return
+        # On the ground a vehicle is pushed by what it stands on.
+        if pose.position[2] > watched.ground + _LIFTED:
             x, y, z, w = pose.quaternion.tolist()
-            watched.heading.update(
-                captured, as_point(pose.position), (x, y, z, w), as_point(own.angular_velocity)
-            )
+            watched.pairing.pose(captured, as_point(pose.position), (x, y, z, w))
+        for sample in watched.pairing.told(told):
+            watched.heading.update(*sample)
 
     def _grounded(self) -> str | None:
         """What keeps vehicles from taking off, in words."""

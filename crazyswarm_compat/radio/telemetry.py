@@ -283,6 +283,10 @@ class TelemetryReader:
         roll, pitch, yaw = (1e-3 * values[f"stateEstimateZ.{name}"] for name in _RATES)
         # The firmware logs the pitch rate in its legacy sign.
         self._omega = np.array([roll, -pitch, yaw])
+        state = self._last.state
+        if state is not None:
+            turned = replace(state, angular_velocity=self._omega)
+            self._update(rates_at=self._clock.now(), state=turned)
 
 
 def _period_ms(rate: float) -> int:
