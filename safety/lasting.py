@@ -19,8 +19,3 @@ class Lasting:
         if self._since is None:
             self._since = now
         return now - self._since
-
-    @property
-    def begun(self) -> bool:
-        """Whether it held when last looked at."""
-        return self._since is not None

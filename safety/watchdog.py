@@ -59,6 +59,7 @@ class _Watched:
     ground: float
     airborne: bool = False
     still: Lasting = field(default_factory=Lasting)
+    low: bool = False
     accepted_once: bool = False
     doubted_since: float | None = None
     swapped: bool = False
@@ -269,9 +270,9 @@ class Watchdog:
         return self._by_vehicle[vehicle].airborne
 
     def settling(self, vehicle: int) -> bool:
-        """Whether it is low and still, but not for long enough to count as down."""
+        """Whether it is low, but has not stood still for long enough to count as down."""
         watched = self._by_vehicle[vehicle]
-        return watched.airborne and watched.still.begun
+        return watched.airborne and watched.low
 
     def over(self, vehicle: int) -> bool:
         """The watchdog has brought this vehicle to a safe end."""
@@ -420,7 +421,7 @@ class Watchdog:
         if obs.position is None:
             return True  # blind: it may be
         moving = math.hypot(*obs.velocity)
-        low = obs.position[2] <= watched.ground + _OFF_GROUND
+        low = watched.low = obs.position[2] <= watched.ground + _OFF_GROUND
         held = watched.still.update(low and moving <= 0.2, obs.time)
         if held is None:
             return watched.airborne or not low
