@@ -17,7 +17,7 @@ from crazyarena.runner.contestant.dialogue import Answer, Question
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.contestant.prints import PrintsShown
 from crazyarena.runner.contestant.submission import Submission, own_traceback
-from crazyarena.runner.timing.step_limit import TimeIsUp, bounded
+from crazyarena.runner.timing.step_limit import StepLimit, TimeIsUp, bounded
 
 Array = NDArray[np.float64]
 
@@ -108,6 +108,7 @@ class InProcess:
         self._pilot = Pilot(submission)
         self._question: Question | None = None
         self._interrupt = Interrupt()
+        self._limit = StepLimit()
         self._printing = PrintsShown(lambda: self._interrupt.in_controller)
         self._make_timeout, self._hook_timeout = make_timeout, hook_timeout
 
@@ -135,9 +136,10 @@ class InProcess:
         interrupt = self._interrupt
         interrupt.in_controller = True
         started = time.perf_counter()
+        limit = self._limit
         try:
-            with bounded(timeout):
-                return self._pilot.answer(question)
+            limit.begin(started, timeout)
+            return self._pilot.answer(question)
         except TimeIsUp as late:
             text = (
                 f"step {question.step}: no answer within {timeout:g} s of wall time\n"
@@ -146,6 +148,7 @@ class InProcess:
             seconds = time.perf_counter() - started
             return Answer(question.step, None, text, seconds, timed_out=True)
         finally:
+            limit.end()
             interrupt.in_controller = False
 
     def hook(self, name: str) -> tuple[float, str | None]:
@@ -157,6 +160,7 @@ class InProcess:
             return self._hook_timeout, text
 
     def close(self) -> None:
+        self._limit.close()
         self._printing.close()
         self._pilot.close()
         self.submission.close()
