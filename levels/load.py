@@ -94,6 +94,12 @@ def dump_level(level: Level) -> str:
 
 
 def _existing(text: str) -> Path:
+    if text.startswith("lsy/") or text.endswith(".toml"):
+        raise InputError(
+            f"{text}: levels of lsy_drone_racing (lsy/level0 ... lsy/level3, TOML files) are flown "
+            "by dry-run and evaluate, with its controllers. Pass one of "
+            f"{', '.join(shipped_levels())}, or a YAML file"
+        )
     path = Path(text)
     try:
         if path.exists():

@@ -29,6 +29,7 @@ from crazyarena.runner.contestant.contract_lsy.submission import (
 from crazyarena.runner.judging.lsy_rules import LsyReferee
 from crazyarena.runner.judging.result import CONTROLLER_ERROR, INTERRUPTED
 from crazyarena.runner.records.lsy_scene import lsy_scene
+from crazyarena.runner.records.outcome_table import computing
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.records.report import machine, versions
 from crazyarena.runner.trial.lsy_episode import COMMAND_LAYOUT, LsyEpisode, LsyEpisodeResult
@@ -110,7 +111,7 @@ class LsyRun:
         if file is None:
             raise InputError(
                 f"{path}: no class here derives from lsy_drone_racing.control.Controller, which "
-                f"level {self.level.name} needs"
+                f"level {level} needs. Pass the file of such a controller"
             )
         self._file = file.resolve()
         wanted = self.level.env.seed if seed is None else seed
@@ -261,13 +262,12 @@ def lsy_table(result: LsyResult) -> Any:
         shown.add_column(name, justify="right", no_wrap=True)
     for e in result.episodes:
         style = "green" if e.success else "red"
-        c = e.compute_ms
         shown.add_row(
             str(e.index + 1),
             f"[{style}]{e.termination}[/{style}]",
             f"{e.time:.2f}",
             f"{e.gates_passed}/{e.gates}",
-            f"{c['p50']:.2g}/{c['max']:.2g}" if c else "-",
+            computing(e.compute_ms),
         )
     return shown
 

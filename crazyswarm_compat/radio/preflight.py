@@ -34,6 +34,7 @@ _SAMPLES = 10  # of the variance, at 10 Hz
 _SPREAD = 1e-3  # m², of the variance over these
 _POLL = 0.05
 _TELEMETRY_PATIENCE = 3.0
+_LANDED_PATIENCE = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +109,9 @@ class _Preflight:
             raise self._fail(
                 "does not report its supervisor; set health_rate above 0, or update its firmware"
             )
+        # The firmware says "flying" for 2 s after its motors have stopped: a script that follows
+        # another at once would be turned away.
+        self._wait(lambda: self._flags() & (FLYING | LOCKED) != FLYING, _LANDED_PATIENCE)
         flags = self._flags()
         if flags & LOCKED:
             raise self._fail("is locked after an emergency stop; switch it off and on again")

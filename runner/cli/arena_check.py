@@ -42,10 +42,10 @@ def arena_check(
         typer.echo(f"soft margin {fence.soft_margin:g} m, {len(fence.zones)} keep-out zones")
         for name, place in (("start", chosen.start.position), ("goal", chosen.goal.position)):
             x, y, z = place
-            typer.echo(
-                f"{name}: {fence.clearance(x, y, z):.2f} m inside the fence, "
-                f"{fence.zone_distance(x, y, z):.2f} m from the nearest zone"
-            )
+            text = f"{name}: {fence.clearance(x, y, z):.2f} m inside the fence"
+            if fence.zones:
+                text += f", {fence.zone_distance(x, y, z):.2f} m from the nearest zone"
+            typer.echo(text)
         problems = obstructions(chosen)
         for problem in problems:
             typer.echo(problem)

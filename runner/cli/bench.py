@@ -18,6 +18,7 @@ from crazyarena.runner.cli.common import (
     Out,
     Overrides,
     bad_input_exits,
+    not_of_lsy,
 )
 from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
@@ -104,6 +105,7 @@ def bench(
         from crazyarena.runner.rig.cameras import numeric, parse_options
 
         console = Console()
+        not_of_lsy(submission)
         loaded = load_level(level, set_ or [])
         stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
         folder = out if out is not None else Path("runs") / f"{stamp}-bench-{loaded.name}"

@@ -27,8 +27,27 @@ def bad_input_exits() -> Iterator[None]:
 
 
 AnySubmission = Annotated[
-    Path | None, typer.Argument(help="As for dry-run. Default: the example racer.")
+    Path | None,
+    typer.Argument(
+        help="Folder with edit_this.py, or a .py file with class Controller. Default: the example "
+        "racer."
+    ),
 ]
+
+
+def not_of_lsy(submission: Path | None) -> None:
+    """Refuse a controller of lsy_drone_racing by name, where only the contract of 2022 flies."""
+    from crazyarena.errors import InputError
+    from crazyarena.runner.contestant.contract_lsy.submission import find_controller
+
+    file = None if submission is None else find_controller(submission.expanduser())
+    if file is not None:
+        raise InputError(
+            f"{file}: a controller of lsy_drone_racing, which flies in simulation alone: "
+            f"crazyarena dry-run {file}"
+        )
+
+
 ArenaLevel = Annotated[str, typer.Option(help="Arena level, or a level file.")]
 Seed = Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")]
 Secret = Annotated[

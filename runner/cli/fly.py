@@ -18,6 +18,7 @@ from crazyarena.runner.cli.common import (
     Secret,
     Seed,
     bad_input_exits,
+    not_of_lsy,
 )
 from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
@@ -118,6 +119,7 @@ def fly(
         from crazyarena.safety.limits import Limits
         from crazyarena.sim_backend.vehicles import VehicleChoice
 
+        not_of_lsy(submission)
         if vehicle is not None and vehicle.isdecimal():
             ident, vehicle = int(vehicle), None
             if ident > 255:

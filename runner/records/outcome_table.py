@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from crazyarena.levels.schema import Level
@@ -32,7 +33,6 @@ def table(result: TrialResult) -> Any:
     shown.add_column("ms\np50/max", justify="right", no_wrap=True)
     for e in result.episodes:
         style = "green" if e.clean else "red"
-        c = e.compute_ms
         shown.add_row(
             str(e.index),
             f"[{style}]{escape(shown_line(e.why or e.termination))}[/{style}]",
@@ -40,9 +40,17 @@ def table(result: TrialResult) -> Any:
             f"{e.gates_passed}/{e.gates}",
             str(e.collisions),
             str(e.violations),
-            f"{c['p50']:.2g}/{c['max']:.2g}" if c else "-",
+            computing(e.compute_ms),
         )
     return shown
+
+
+def computing(milliseconds: Mapping[str, float] | None) -> str:
+    """Median and largest time of computing, ms, to two digits or the unit."""
+    if not milliseconds:
+        return "-"
+    times = (milliseconds["p50"], milliseconds["max"])
+    return "/".join(f"{t:.2g}" if t < 99.5 else f"{t:.0f}" for t in times)
 
 
 def score_line(result: TrialResult) -> str:

@@ -99,6 +99,17 @@ def test_in_the_air(world):
         backend.prepare()
 
 
+def test_one_that_has_just_landed_is_waited_for(world):
+    """The firmware says for two seconds after its motors stopped that it flies."""
+    _, backend = world()
+    backend.prepare()
+    backend.send(c.Takeoff(0.3, 1.0))
+    eventually(lambda: backend.supervisor(1).flying, 5.0)
+    backend.send(c.Land(0.0, 1.0))
+    time.sleep(1.3)
+    backend.prepare()
+
+
 def test_an_estimate_that_does_not_settle_at_the_pose(world, feed):
     """Poses that jump between two places, as with swapped bodies."""
     _, backend = world(fed=False)

@@ -60,6 +60,11 @@ def test_bad_input_exits_with_2(call):
         (STATE, ("evaluate", "mine.py", "--set", "env.freq=7"), "divisor"),
         (HEAD + "x = 1\n", ("evaluate", "mine.py"), "derives from"),
         (STATE, ("evaluate", "other.py"), "no such file"),
+        (STATE, ("bench", "mine.py"), "flies in simulation alone: crazyarena dry-run mine.py"),
+        (STATE, ("fly", "mine.py"), "flies in simulation alone: crazyarena dry-run mine.py"),
+        (STATE, ("arena-check", "lsy/level0"), "flown by dry-run and evaluate"),
+        (STATE, ("arena-check", "none.toml"), "flown by dry-run and evaluate"),
+        (HEAD + "x = 1\n", ("evaluate", "mine.py", "--level", "lsy/level1"), "level lsy/level1"),
     ]
     for source, arguments, words in wrong:
         result = call(source, *arguments)

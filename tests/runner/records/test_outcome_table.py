@@ -7,7 +7,7 @@ from rich.console import Console
 
 from crazyarena.levels import load_level
 from crazyarena.runner.judging.result import EpisodeResult, TrialResult
-from crazyarena.runner.records.outcome_table import remarks, score_line, table
+from crazyarena.runner.records.outcome_table import computing, remarks, score_line, table
 
 LEVEL = load_level("level0")
 WHY = "COLLISION with gate 0 (left bar) at 5.10 s, 0.24 m left of its centre"
@@ -85,3 +85,10 @@ def test_the_same_draw_many_times_is_told():
     assert "--seed" in line
     other = load_level("level1", ["reseed_on_reset=false"])
     assert remarks(TrialResult([episode(), episode(1)], 2), other, 7) == []
+
+
+def test_times_of_computing_are_plain_numbers():
+    assert computing({"p50": 0.00047, "max": 4.14}) == "0.00047/4.1"
+    assert computing({"p50": 99.4, "max": 99.6}) == "99/100"
+    assert computing({"p50": 131.0, "max": 2345.6}) == "131/2346"
+    assert computing({}) == "-"
