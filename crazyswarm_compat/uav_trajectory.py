@@ -18,6 +18,7 @@ from crazyarena.errors import InputError
 GRAVITY = np.array([0.0, 0.0, 9.81])
 _COEFFICIENTS = 8
 _COLUMNS = 1 + 4 * _COEFFICIENTS
+_NAMES = ["duration", *(f"{a}^{n}" for a in ("x", "y", "z", "yaw") for n in range(_COEFFICIENTS))]
 
 
 def normalize(v: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -112,13 +113,27 @@ class Polynomial4D:
         return out
 
 
-def _is_row(line: str) -> bool:
-    """Whether a first line is a piece already, and no header: all that is there are numbers."""
-    fields = [field for field in line.split(",") if field.strip()]
+def _is_header(line: str, place: str) -> bool:
+    """Whether a first line names columns: nothing in it is a number.
+
+    A spoilt first piece is none, and is refused where it is read. Raises InputError for columns
+    in another order.
+    """
+    names = [field.strip(" \t\"'").lower() for field in line.split(",")]
+    if any(_is_number(name) for name in names):
+        return False
+    found = names[:_COLUMNS]
+    if found != _NAMES and sorted(found) == sorted(_NAMES):
+        raise InputError(f"{place}: columns in another order; write them as {', '.join(_NAMES)}")
+    return True
+
+
+def _is_number(field: str) -> bool:
     try:
-        return bool(fields) and all(math.isfinite(float(field)) for field in fields)
+        float(field)
     except ValueError:
         return False
+    return True
 
 
 class Trajectory:
@@ -144,13 +159,14 @@ class Trajectory:
         """
         path = os.fspath(filename)
         try:
-            with open(path, encoding="utf-8") as file:
+            with open(path, encoding="utf-8-sig") as file:  # spreadsheets mark their UTF-8
                 lines = file.read().splitlines()
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{path}: cannot read the trajectory: {error}") from error
         pieces = []
+        first = next((n for n, line in enumerate(lines, start=1) if line.strip()), None)
         for number, line in enumerate(lines, start=1):
-            if not line.strip() or (number == 1 and not _is_row(line)):
+            if not line.strip() or (number == first and _is_header(line, f"{path}, line {number}")):
                 continue
             fields = line.split(",")[:_COLUMNS]
             if len(fields) < _COLUMNS:

@@ -15,7 +15,6 @@ import importlib.machinery
 import importlib.util
 import os
 import sys
-import traceback
 import types
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -23,7 +22,7 @@ from typing import Any
 
 from crazyarena.bounded_read import check_code, size_words
 from crazyarena.errors import InputError
-from crazyarena.plain_text import shown
+from crazyarena.import_failure import missing, told
 from crazyarena.runner.contestant.contract_2022 import shims
 from crazyarena.runner.timing.step_limit import TimeIsUp, bounded
 
@@ -260,7 +259,8 @@ class Submission:
         except BaseException as error:
             raise InputError(
                 f"{self.file}: importing the submission failed: "
-                f"{type(error).__name__}: {error}\n{own_traceback(error)}"
+                f"{type(error).__name__}: {error}{missing(error, _own_names(self.folder))}\n"
+                f"{own_traceback(error)}"
             ) from error
         controller = getattr(module, "Controller", None)
         if not isinstance(controller, type):
@@ -288,20 +288,14 @@ class Submission:
             raise
         except BaseException as error:
             raise InputError(
-                f"{self.file}: Controller(...) raised {type(error).__name__}: {error}\n"
-                f"{own_traceback(error)}"
+                f"{self.file}: Controller(...) raised {type(error).__name__}: {error}"
+                f"{missing(error, _own_names(self.folder))}\n{own_traceback(error)}"
             ) from error
 
 
 def own_traceback(error: BaseException) -> str:
-    """Traceback without the frames of this package and of the import system."""
-    here = str(Path(__file__).parents[1])
-    frames = [
-        frame
-        for frame in traceback.extract_tb(error.__traceback__)
-        if not frame.filename.startswith("<frozen importlib")
-        and (not frame.filename.startswith(here) or frame.filename.startswith(str(shims.CONTRACT)))
-    ]
-    lines = ["Traceback (most recent call last):\n", *traceback.format_list(frames)]
-    lines += traceback.format_exception_only(type(error), error)
-    return shown("".join(lines), MOST_TEXT).rstrip()
+    """Traceback without the frames of this package and of the import system.
+
+    Errors behind it come first, as Python shows them.
+    """
+    return told(error, str(Path(__file__).parents[1]), str(shims.CONTRACT), MOST_TEXT)

@@ -15,6 +15,7 @@ from crazyarena.crazyswarm_compat.config import load_crazyflies_1
 from crazyarena.errors import InputError
 
 HEADER = "duration," + ",".join(f"{axis}^{k}" for axis in "xyzw" for k in range(8))
+SWAPPED = "duration," + ",".join(f"{a}^{k}" for a in ("y", "x", "z", "yaw") for k in range(8))
 ROW = ",".join(str(0.1 * k + 0.5) for k in range(33))
 coefficients = st.lists(st.floats(-3, 3), min_size=1, max_size=8)
 
@@ -47,9 +48,20 @@ def test_load(tmp_path, comma):
         assert np.allclose(trajectory.polynomials[1].pyaw.p, 0.5 + 0.1 * np.arange(25, 33))
 
 
+@pytest.mark.parametrize("start", ["", "\ufeff", "\n\n", HEADER + "\n", f"\ufeff\n{HEADER}\n"])
+def test_no_piece_is_taken_for_a_header(tmp_path, start):
+    path = tmp_path / "t.csv"
+    path.write_text(f"{start}{ROW}\n{ROW}\n", encoding="utf-8")
+    trajectory = ut.Trajectory()
+    trajectory.loadcsv(path)
+    assert (trajectory.n_pieces(), trajectory.duration) == (2, 1.0)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (f"{ROW.replace('0.5', '3s', 1)}\n{ROW}", r"t\.csv, line 1: could not convert .*3s"),
+        (f"{SWAPPED}\n{ROW}", r"t\.csv, line 1: columns in another order.*duration, x\^0"),
         (HEADER, r"t\.csv: holds no trajectory piece"),
         (f"{HEADER}\n1,2,3", r"t\.csv, line 2: 3 columns; a piece has 33"),
         (f"{HEADER}\n{ROW}\n{ROW.replace('0.5', 'x', 1)}", r"t\.csv, line 3: could not convert"),

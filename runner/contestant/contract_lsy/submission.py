@@ -16,7 +16,6 @@ import importlib.util
 import inspect
 import os
 import sys
-import traceback
 import types
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,7 +23,7 @@ from typing import Any
 
 from crazyarena.bounded_read import check_code
 from crazyarena.errors import InputError
-from crazyarena.plain_text import shown
+from crazyarena.import_failure import missing, told
 
 NAMES = Path(__file__).parent / "names"
 _PACKAGE = "lsy_drone_racing"
@@ -200,7 +199,7 @@ class LsySubmission:
         except BaseException as error:
             raise InputError(
                 f"{self.file}: importing the controller failed: "
-                f"{type(error).__name__}: {error}\n{controller_traceback(error)}"
+                f"{type(error).__name__}: {error}{missing(error)}\n{controller_traceback(error)}"
             ) from error
         base = sys.modules[f"{_PACKAGE}.control"].Controller
         found = [
@@ -225,7 +224,7 @@ class LsySubmission:
         except BaseException as error:
             raise InputError(
                 f"{self.file}: {self.controller_class.__name__}(...) raised "
-                f"{type(error).__name__}: {error}\n{controller_traceback(error)}"
+                f"{type(error).__name__}: {error}{missing(error)}\n{controller_traceback(error)}"
             ) from error
 
     def canvas(self) -> Any:
@@ -235,13 +234,4 @@ class LsySubmission:
 
 def controller_traceback(error: BaseException) -> str:
     """Traceback without the frames of this package and of the import system."""
-    here, names = str(Path(__file__).parent), str(NAMES)
-    frames = [
-        frame
-        for frame in traceback.extract_tb(error.__traceback__)
-        if not frame.filename.startswith("<frozen importlib")
-        and (not frame.filename.startswith(here) or frame.filename.startswith(names))
-    ]
-    lines = ["Traceback (most recent call last):\n", *traceback.format_list(frames)]
-    lines += traceback.format_exception_only(type(error), error)
-    return shown("".join(lines), _MOST_TEXT).rstrip()
+    return told(error, str(Path(__file__).parent), str(NAMES), _MOST_TEXT)

@@ -274,6 +274,42 @@ class TestBadInput:
         with pytest.raises(InputError, match=message):
             load(write(folder, **files))
 
+    @pytest.mark.parametrize(
+        "files",
+        [
+            {"edit_this": "import nowhere_a"},
+            {
+                "edit_this": "try:\n import plan\nexcept ImportError:\n from . import plan",
+                "plan": "import nowhere_a.deep",
+            },
+            {
+                "edit_this": "try:\n import plan\nexcept ImportError:\n import other_plan as plan",
+                "plan": "from sub import work",
+                "sub__work": "from nowhere_a import b",
+                "other_plan": "from . import plan",
+            },
+        ],
+    )
+    def test_names_the_missing_package_and_its_remedy(self, tmp_path, load, files):
+        folder = tmp_path / "entry"
+        with pytest.raises(InputError) as caught:
+            load(write(folder, **files))
+        first, _, rest = str(caught.value).partition("\n")
+        assert "not installed: the package 'nowhere_a'. Install it" in first
+        assert "No module named 'nowhere_a" in rest
+
+    def test_names_nothing_to_install_for_what_is_there(self, tmp_path, load):
+        source = "try:\n import helper\nexcept ImportError:\n from numpy import nothing_like_it"
+        with pytest.raises(InputError, match="nothing_like_it") as caught:
+            load(write(tmp_path / "entry", edit_this=source, helper="import helper.part"))
+        assert "not installed" not in str(caught.value)
+
+    def test_missing_in_the_constructor(self, tmp_path, load):
+        source = controller(init="import nowhere_a")
+        submission = load(write(tmp_path / "entry", edit_this=source))
+        with pytest.raises(InputError, match="not installed: the package 'nowhere_a'"):
+            submission.make([0.0] * 12, {})
+
     def test_missing_and_not_python(self, tmp_path, load):
         with pytest.raises(InputError, match="no such file"):
             load(tmp_path / "nothing")
