@@ -6,7 +6,6 @@ follow (Mellinger and Kumar, ICRA 2011). SI units, yaw in rad, world frame.
 
 from __future__ import annotations
 
-import math
 import os
 from itertools import pairwise
 
