@@ -6,13 +6,14 @@ few kilobytes can ask for many gigabytes. Here every record and every chunk has 
 
 from __future__ import annotations
 
+import os
 import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from typing import IO, Any
 
 from mcap.exceptions import McapError
-from mcap.records import Chunk
+from mcap.records import Channel, Chunk, Footer, Message, Statistics
 from mcap.stream_reader import StreamReader
 
 # Largest record, and largest unpacked chunk, bytes.
@@ -20,6 +21,7 @@ LARGEST = 64 << 20
 # No recording of numbers shrinks to a part of this; a bomb does.
 _RATIO = 200
 _SMALL = 1 << 20
+_KINDS = frozenset(range(0x01, 0x10))  # of the MCAP specification
 _MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -71,9 +73,12 @@ def chunk_records(chunk: Chunk) -> Iterator[Any]:
     records = reader.records
     while stream.tell() < len(data):
         try:
+            _look_at_kind(stream)
             record = next(records)
         except StopIteration:
             return
+        except Damaged:
+            raise
         except Exception as error:
             raise Damaged(f"a record in a chunk is spoilt: {_reason(error)}") from None
         if isinstance(record, Chunk):
@@ -93,14 +98,24 @@ def records(stream: IO[bytes]) -> Iterator[Any]:
     reader = StreamReader(
         stream, skip_magic=True, emit_chunks=True, record_size_limit=LARGEST
     ).records
+    messages, channels = 0, set[int]()
     while True:
         at = stream.tell()
         try:
+            _look_at_kind(stream)
             record = next(reader)
-            if isinstance(record, Chunk):
-                yield from chunk_records(record)
-            else:
-                yield record
+            for inner in chunk_records(record) if isinstance(record, Chunk) else (record,):
+                if isinstance(inner, Channel):
+                    channels.add(inner.id)
+                elif isinstance(inner, Message):
+                    messages += 1
+                    if inner.channel_id not in channels:
+                        raise Damaged(f"a message of channel {inner.channel_id}, which is missing")
+                yield inner
+            if isinstance(record, Statistics) and record.message_count != messages:
+                raise Damaged(f"{messages} messages are there, {record.message_count} were written")
+            if isinstance(record, Footer):
+                return
         except StopIteration:
             return
         except Damaged as error:
@@ -108,6 +123,15 @@ def records(stream: IO[bytes]) -> Iterator[Any]:
         except Exception as error:
             # The package meets nonsense with errors of many kinds: struct, Unicode, index, ...
             raise Damaged(f"byte {at}: {_reason(error)}") from None
+
+
+def _look_at_kind(stream: IO[bytes]) -> None:
+    """Raise Damaged for a record of a kind that MCAP does not know: the package passes over it,
+    and a chunk whose first byte is spoilt would be missing without a word."""
+    kind = stream.read(1)
+    stream.seek(-len(kind), os.SEEK_CUR)
+    if kind and kind[0] not in _KINDS:
+        raise Damaged(f"a record of unknown kind 0x{kind[0]:02x}")
 
 
 def _reason(error: Exception) -> str:
