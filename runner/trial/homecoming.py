@@ -19,6 +19,7 @@ _PEAK_SPEED = 1.0  # m/s on the way home
 _PEAK_OVER_MEAN = 35.0 / 16.0  # of the firmware's rest-to-rest polynomial
 _BRAKING = 3.0  # m/s2, after the run
 _ASIDE = 0.25  # m from the fence, from where it flies home
+_HOME_ASIDE = 0.1  # m from the fence, at home
 _DRAW_BACK = 0.4  # m/s on the way there
 _SETTLED = 0.5  # s at rest before it goes on
 _ABOVE_TRACK = 0.35  # m above the highest gate, on the way home
@@ -84,7 +85,9 @@ class Homecoming(Hands):
         above = self._safe_height()
         self._send(cs.NotifySetpointsStop())
         self._go(np.array([place[0], place[1], max(above, place[2])]), yaw)
-        self._go(np.array([self._home[0], self._home[1], max(above, place[2])]), yaw)
+        # A start at the very fence is no place to brake for.
+        over = np.array([*self._home[:2], max(above, place[2])])
+        self._go(self._inside(over, _HOME_ASIDE), yaw)
         self._land_here()
 
     def _stop_moving(self) -> tuple[Array, float]:
@@ -100,11 +103,7 @@ class Homecoming(Hands):
         braking = speed / _BRAKING
         rest = begin + 0.5 * braking * velocity
         rest[2] = max(rest[2], begin[2], DOWN + 0.1)
-        x, y, z = rest.tolist()
-        try:
-            inside = np.array(Fence.from_level(self._level).nearest((x, y, z), _ASIDE))
-        except InputError:
-            inside = rest
+        inside = self._inside(rest, _ASIDE)
         away = inside - rest
         if speed < STILL:
             return begin, yaw
@@ -124,6 +123,14 @@ class Homecoming(Hands):
             self._send(setpoint)
             clock.sleep_until(clock.now() + TICK)
         return inside, yaw
+
+    def _inside(self, place: Array, margin: float) -> Array:
+        """The place (3,) m nearest to ``place`` that is ``margin`` m inside the fence."""
+        x, y, z = place.tolist()
+        try:
+            return np.array(Fence.from_level(self._level).nearest((x, y, z), margin))
+        except InputError:
+            return place
 
     def _safe_height(self) -> float:
         tops = [gate.centre[2] + 0.25 for gate in self._level.track.gates]
