@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import faulthandler
 import math
@@ -81,6 +82,8 @@ class StepLimit:
 
     def _start(self, seconds: float) -> None:
         self._open = True
+        # An alarm that rings while the interpreter ends would end it with an error.
+        atexit.register(self.close)
         _last_resort()
         self._before = signal.signal(signal.SIGALRM, self._look)
         # Pushed away as long as the interpreter lives: what it finds is code that never returns.
@@ -97,6 +100,7 @@ class StepLimit:
         if not self._open:
             return
         self._open = False
+        atexit.unregister(self.close)
         self._due = math.inf
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.setitimer(signal.ITIMER_PROF, 0.0)
