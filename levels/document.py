@@ -96,12 +96,12 @@ _Loader.add_implicit_resolver(
 _SCALARS = {f"tag:yaml.org,2002:{name}" for name in ("str", "int", "float", "bool", "null")}
 
 
-def read(path: Path, shown: str) -> Node:
-    """Read a YAML file; ``shown`` is its name in messages.
+def read_text(path: Path, shown: str) -> str:
+    """Text of a file; ``shown`` is its name in messages.
 
     Raises
     ------
-    InputError: the file cannot be read, is no text, too large, or no valid YAML.
+    InputError: the file cannot be read, is no text, or too large.
     """
     try:
         if not path.is_file():
@@ -114,12 +114,21 @@ def read(path: Path, shown: str) -> Node:
     if len(data) > MAX_BYTES:
         raise InputError(f"{shown}: expected at most {MAX_BYTES // 1024} KiB, found a larger file")
     try:
-        text = data.decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(
             f"{shown}: expected UTF-8 text, found byte {error.start} to be something else"
         ) from error
-    return parse(text, shown)
+
+
+def read(path: Path, shown: str) -> Node:
+    """Read a YAML file; ``shown`` is its name in messages.
+
+    Raises
+    ------
+    InputError: the file cannot be read, is no text, too large, or no valid YAML.
+    """
+    return parse(read_text(path, shown), shown)
 
 
 def parse(text: str, source: str, *, lines: bool = True, path: str = "") -> Node:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from crazyarena.errors import InputError
-from crazyarena.levels.document import MAX_BYTES, MAX_DEPTH, MAX_NODES, Node
+from crazyarena.levels.document import MAX_DEPTH, MAX_NODES, Node, read_text
 
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _BARE = re.compile(r"\s*(?:\"((?:[^\"\\]|\\.)*)\"|'([^']*)'|([A-Za-z0-9_-]+))\s*")
@@ -26,21 +26,7 @@ def read_toml(path: Path, shown: str) -> Node:
     ------
     InputError: the file cannot be read, is no text, too large, or no valid TOML.
     """
-    try:
-        with path.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise InputError(f"{shown}: cannot read the file: {reason}") from error
-    if len(data) > MAX_BYTES:
-        raise InputError(f"{shown}: expected at most {MAX_BYTES // 1024} KiB, found a larger file")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{shown}: expected UTF-8 text, found byte {error.start} to be something else"
-        ) from error
-    return parse_toml(text, shown)
+    return parse_toml(read_text(path, shown), shown)
 
 
 def parse_toml(text: str, source: str) -> Node:
