@@ -150,14 +150,15 @@ def nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.uint64]:
 
 
 def _write_args(row: NDArray[np.float64], at: int, command: cs.Command | None) -> None:
+    if isinstance(command, cs.FullState):  # fills all of them
+        row[at : at + 3] = command.position
+        row[at + 3 : at + 6] = command.velocity
+        row[at + 6 : at + 9] = command.acceleration
+        row[at + 9] = command.yaw
+        row[at + 10 : at + 13] = command.omega
+        return
     row[at : at + _ARGS] = np.nan
     match command:
-        case cs.FullState():
-            row[at : at + 3] = command.position
-            row[at + 3 : at + 6] = command.velocity
-            row[at + 6 : at + 9] = command.acceleration
-            row[at + 9] = command.yaw
-            row[at + 10 : at + 13] = command.omega
         case cs.Takeoff() | cs.Land():
             row[at] = command.height
             row[at + 1] = command.duration

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -259,6 +260,11 @@ class Trial:
         self._thought += seconds
         return seconds
 
+    @cached_property
+    def _level_file(self) -> str:
+        # Once a trial: writing YAML takes as long as a few seconds of flight.
+        return dump_level(self._level)
+
     def _recorder(
         self, index: int, draw: Draw, track: MeasuredTrack, start: np.ndarray
     ) -> Recorder | None:
@@ -267,7 +273,7 @@ class Trial:
         metadata = {
             "crazyarena": __version__,
             "level": self._level.name,
-            "level_file": dump_level(self._level),
+            "level_file": self._level_file,
             "seed": str(self._seed),
             "episode": str(index),
             "submission_sha256": self._contestant.digest,
