@@ -246,9 +246,7 @@ class Watched:
         except (OSError, ValueError) as error:
             raise InputError(f"{file}: no live flight: {error}. Is it still flying?") from None
         head = bytes(self._memory[: _HEADER.size])
-        magic, vehicles, length = (
-            _HEADER.unpack(head) if len(head) == _HEADER.size else (b"", 0, 0)
-        )
+        magic, vehicles, length = _HEADER.unpack(head) if len(head) == _HEADER.size else (b"", 0, 0)
         known = magic == _MAGIC and 1 <= vehicles <= MOST_VEHICLES and 1 <= length <= _LONGEST
         layout = _layout(vehicles, length) if known else None
         if layout is None or len(self._memory) < layout.end:
@@ -293,11 +291,11 @@ class Watched:
     def paths(self) -> NDArray[np.float32]:
         """Points (n, k, 3) m flown in this episode, oldest first; the newest ones only of a long
         flight."""
-        _, before = self.path_version()
+        earlier, before = self.path_version()
         ring = self._points.copy()
         episode, after = self.path_version()
         length = ring.shape[1]
-        if after < before:
+        if episode != earlier:
             return ring[:, :0]
         # Those overwritten while they were copied are left out.
         first = max(0, after - length + (after - before if after > length else 0))

@@ -215,5 +215,5 @@ def test_the_folder_is_the_users_alone(tmp_path, monkeypatch):
     assert live_folder().stat().st_mode & 0o777 == 0o700
     folder.rmdir()
     folder.write_text("")
-    with pytest.raises(InputError, match="is no folder|File exists"):
+    with pytest.raises(InputError, match=r"is no folder|File exists"):
         live_folder()
