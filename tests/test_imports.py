@@ -124,7 +124,7 @@ ROOMS = (
     ("",),  # whole commands as programs
     ("campaign.udp",),
     ("campaign",),
-    ("campaign.strikes",),
+    ("campaign.strikes", "viewer"),
     ("trial",),
     ("rig.flight_process",),
     ("rig", "records"),
