@@ -20,6 +20,7 @@ from crazyarena.mocap.cadence import Cadence
 from crazyarena.mocap.rotations import angle_between
 from crazyarena.plain_text import shown_line
 from crazyarena.types import Pose, PoseFrame, Vector
+from crazyarena.whole_file import write_whole
 
 FORMAT = "crazyarena-measured-track"
 VERSION = 1
@@ -259,7 +260,7 @@ def write_track(path: str | Path, report: SurveyReport, level: str = "") -> None
         if b.pose is not None
     }
     document = {"format": FORMAT, "version": VERSION, "level": level, "bodies": bodies}
-    Path(path).write_text(json.dumps(document, indent=2) + "\n")
+    write_whole(Path(path), json.dumps(document, indent=2) + "\n")
 
 
 def read_track(path: str | Path) -> dict[str, Pose]:

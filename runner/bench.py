@@ -14,11 +14,14 @@ from typing import Any
 
 from rich.console import Console
 
+from crazyarena.errors import InputError
 from crazyarena.levels.schema import Level
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.dry_run import DryRun
 from crazyarena.runner.fly import Fly
-from crazyarena.runner.judging.result import TrialResult
+from crazyarena.runner.judging.result import ABORTED, TrialResult
 from crazyarena.runner.records.compare import Comparison, compare
+from crazyarena.runner.records.run_folder import refuse_older_run
 from crazyarena.runner.rig.flight_process.client import connected
 from crazyarena.runner.rig.rig import Rig
 from crazyarena.runner.rig.stops import StopOptions
@@ -32,16 +35,31 @@ from crazyarena.sim_backend.vehicles import VehicleChoice
 
 @dataclass
 class BenchResult:
-    """Results of the real-time runs, of the dry runs beside them, and their difference."""
+    """Results of the real-time runs, of the dry runs beside them, and their difference.
+
+    aborted: why a run never flew, which ends the bench; the pairs before it are compared.
+    uncompared: why the flights could not be.
+    """
 
     flown: list[TrialResult] = field(default_factory=list)
     dry: list[TrialResult] = field(default_factory=list)
     arenas: list[dict[str, Any]] = field(default_factory=list)
     comparison: Comparison | None = None
+    aborted: str | None = None
+    uncompared: str | None = None
 
     @property
     def clean(self) -> bool:
-        return all(result.clean for result in (*self.flown, *self.dry))
+        told = self.aborted is None and self.uncompared is None
+        return told and all(result.clean for result in (*self.flown, *self.dry))
+
+
+def aborted(flown: TrialResult) -> str | None:
+    """Why a trial of one episode never flew, in one line; None if it did."""
+    for episode in flown.episodes:
+        if episode.termination == ABORTED:
+            return shown_line(episode.error or "nobody knows why")
+    return None if flown.episodes else "it was ended before the flight"
 
 
 class Bench:
@@ -110,13 +128,20 @@ class Bench:
 
     def run(self) -> BenchResult:
         """Fly everything."""
+        refuse_older_run(self._out)
         compile_missing(("arena", "estimator", "referee"), self._console)
         result = BenchResult()
         for index in range(self._runs):
             seed = self._seed
             folder = self._out / f"bench_{index:02d}"
             folder.mkdir(parents=True, exist_ok=True)
-            result.flown.append(self._fly(folder, seed, result))
+            flown = self._fly(folder, seed, result)
+            result.flown.append(flown)
+            reason = aborted(flown)
+            if reason is not None:
+                # Nothing has changed since: the next run would end the same way.
+                result.aborted = f"run {index} was aborted: {reason}"
+                break
             if self._dry:
                 dry = DryRun(
                     self._submission,
@@ -127,12 +152,16 @@ class Bench:
                     **self._common,
                 )
                 result.dry.append(dry.run())
-        if self._dry:
-            result.comparison = compare(
-                [self._out / f"dry_{i:02d}" for i in range(self._runs)],
-                [self._out / f"bench_{i:02d}" for i in range(self._runs)],
-                ("dry run", "bench"),
-            )
+        if result.dry:
+            pairs = range(len(result.dry))
+            try:
+                result.comparison = compare(
+                    [self._out / f"dry_{i:02d}" for i in pairs],
+                    [self._out / f"bench_{i:02d}" for i in pairs],
+                    ("dry run", "bench"),
+                )
+            except InputError as error:
+                result.uncompared = str(error)
         return result
 
     def _fly(self, folder: Path, seed: int, result: BenchResult) -> TrialResult:

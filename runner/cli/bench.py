@@ -25,6 +25,7 @@ from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import OPTION_HELP
 from crazyarena.runner.cli.options.stops import Waive, flight_stops
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
+from crazyarena.whole_file import write_whole
 
 if TYPE_CHECKING:
     from crazyarena.runner.rig.stops import StopOptions
@@ -134,9 +135,13 @@ def bench(
         if result.comparison is not None:
             console.print(comparing.table(result.comparison))
             summary = {**result.comparison.summary(), "arenas": result.arenas}
-            (folder / "compare.json").write_text(json.dumps(summary, indent=2) + "\n")
+            write_whole(folder / "compare.json", json.dumps(summary, indent=2) + "\n")
             if figure:
                 comparing.save_figure(folder / "compare.png", result.comparison)
                 console.print(f"Figure: {folder / 'compare.png'}", highlight=False, soft_wrap=True)
+        for reason in (result.uncompared, result.aborted):
+            if reason is not None:
+                text = f"bench: {reason.removeprefix('compare: ')}"
+                console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)

@@ -119,7 +119,7 @@ def _flew_lsy(
     looks_like = submission is not None or (level or "").endswith(".toml")
     if not looks_like and not (level or "").startswith("lsy/"):
         return False
-    from crazyarena.errors import InputError
+    from crazyarena.errors import InputError, StorageError
     from crazyarena.levels.lsy import is_lsy_level
 
     foreign = level is not None and is_lsy_level(level)
@@ -152,7 +152,6 @@ def _flew_lsy(
         )
     from rich.console import Console
 
-    from crazyarena.runner.dry_run import results_folder
     from crazyarena.runner.lsy_run import LsyRun, tell
     from crazyarena.runner.records.report import NOT_ISOLATED
 
@@ -163,17 +162,20 @@ def _flew_lsy(
         overrides,
         episodes=episodes or 1,
         seed=seed,
+        out=out,
+        keep=True,
         record=record,
         sandbox=bool(options.sandbox) or options.require_sandbox,
         require_sandbox=options.require_sandbox,
         console=console,
     )
-    run.out = results_folder(out, submission, run.level.name)
     result = run.run()
     tell(result, console)
     if not run.isolated:
         console.print(NOT_ISOLATED, markup=False, highlight=False, soft_wrap=True)
     console.print(f"Seed {result.seed}. Results in {run.out}", highlight=False, soft_wrap=True)
+    if result.cut_short is not None:
+        raise StorageError(result.cut_short)
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)
     return True

@@ -18,6 +18,7 @@ from crazyarena.runner.cli.options.stops import (
     Waive,
     stop_options,
 )
+from crazyarena.whole_file import write_whole
 
 if TYPE_CHECKING:
     from crazyarena.safety.preflight import Line
@@ -132,6 +133,6 @@ def _write(file: Path, wanted: Any, lines: list[Line], ready: bool) -> None:
         "lines": [asdict(line) for line in lines],
     }
     try:
-        file.write_text(json.dumps(document, indent=2) + "\n")
+        write_whole(file, json.dumps(document, indent=2) + "\n")
     except OSError as error:
         raise InputError(f"--report {file}: cannot write it: {error.strerror}") from None

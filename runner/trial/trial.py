@@ -109,6 +109,7 @@ class Trial:
         self._made = self._flown = False
         self._last_endings = _ENDS_RENEWED if self._staging.renews else _ENDS_TRIAL
         self._thought = 0.0  # s of wall time, by the contestant
+        self._cut_short: str | None = None
 
     def run(self) -> TrialResult:
         """Fly; raises InputError when the controller cannot be constructed."""
@@ -121,7 +122,7 @@ class Trial:
             for index in range(self._episodes):
                 result, obs = self._episode(index, random.reset(), referee, obs, interrupt)
                 results.append(result)
-                if interrupt.asked or result.termination in self._last_endings:
+                if interrupt.asked or self._cut_short or result.termination in self._last_endings:
                     break
                 if index + 1 < self._episodes:
                     if result.termination in _FAILED:
@@ -131,7 +132,7 @@ class Trial:
                     self._hook("interEpisodeReset", result, interrupt)
                     if result.termination != flown:
                         break
-        return TrialResult(results, self._episodes)
+        return TrialResult(results, self._episodes, cut_short=self._cut_short)
 
     def _episode(
         self,
@@ -168,6 +169,7 @@ class Trial:
         result.reveals = staging.reveals
         result.phases = staging.durations
         if recorder is not None and recorder.file is not None:
+            self._cut_short = recorder.trouble
             result.files["recording"] = recorder.file.name
         if result.termination not in _ENDS_TRIAL:
             result.interepisode_learning_time = self._hook("interEpisodeLearn", result, interrupt)
