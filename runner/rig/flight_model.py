@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
+from crazyarena.errors import BackendError
 from crazyarena.safety.flight_model import BRAKING, GRAVITY, MELLINGER, PID, FlightModel, Point
 from crazyarena.safety.limits import Limits
+from crazyarena.safety.preflight import ModelFacts
 from crazyarena.sim_backend.arena_params import PARAM_INDEX
 from crazyarena.sim_backend.vehicles import Vehicle, vehicle_rows
 from crazyarena.sim_backend.vehicles.hover import mellinger_hover, push
@@ -22,6 +25,10 @@ _LEAST_LAG = 0.01  # s
 _LOADED = 3.2  # V, under load, from which motors are reckoned with
 _LIFTING = 1.05  # times its weight: less is not flying
 _FULL_SCALE = 65535.0
+# What height and stiffness under Mellinger's controller depend on.
+_READ = tuple(
+    f"ctrlMel.{name}" for name in ("mass", "massThrust", "kp_z", "kd_z", "kp_xy", "kd_xy")
+)
 _THRUST_SCALE = 1000.0  # of the PID's vertical loop
 
 
@@ -85,6 +92,31 @@ def flight_model(
         follows_velocity=False,
         agility=min(common.agility, GRAVITY * math.tan(math.radians(leaning))),
         low=0.0,
+    )
+
+
+def foretold(vehicle: Vehicle, controller: int, parameter: Callable[[str], float]) -> ModelFacts:
+    """What a vehicle's file and the parameters of the vehicle itself foretell.
+
+    ``parameter`` reads one; raises BackendError where it cannot. What the file sets is written
+    before a flight, and counts before what the vehicle has now.
+    """
+    told = dict[str, float]()
+    for name in _READ:
+        with suppress(BackendError):
+            told[name] = float(parameter(name))
+    told.update(vehicle.firmware.params)
+    hover = mellinger_hover(vehicle, told)
+    params = vehicle_rows(vehicle).params
+    thrust, mass = (
+        told.get(name, float(params[PARAM_INDEX[name]]))
+        for name in ("ctrlMel.massThrust", "ctrlMel.mass")
+    )
+    return ModelFacts(
+        vehicle.name,
+        flight_model(vehicle, controller, told),
+        hover.mass,
+        thrust * hover.mass / mass,
     )
 
 
