@@ -298,11 +298,12 @@ def open_fleet(
 ) -> tuple[Backend, FleetGuard | None]:
     """Open the link, and with ``guard`` (an arena) the safety around it."""
     clock = timeHelper.clock
-    link = open_backend(backend, fleet, clock, getattr(timeHelper, "options", None))
+    options = getattr(timeHelper, "options", None)
+    link = open_backend(backend, fleet, clock, options)
     if guard is None:
         return link, None
     try:
-        return link, open_guard(guard, fleet, link, clock)
+        return link, open_guard(guard, fleet, link, clock, options)
     except BaseException:
         link.close()
         raise

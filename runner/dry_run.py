@@ -256,10 +256,15 @@ class DryRun:
         return make_world(self._level, seed, self._limits(), self.supply, self._cameras)
 
     def _limits(self) -> Limits:
-        """Of the watchdog."""
+        """Of the watchdog, for the vehicle as its model has it, whatever is drawn."""
         from crazyarena.runner.rig.safeguard import limits_for
 
-        return limits_for(self._level.control_frequency, self._options.max_misses)
+        flown = None
+        if self._vehicle is not None:
+            from crazyarena.runner.rig.flight_model import flight_model
+
+            flown = flight_model(self._vehicle)
+        return limits_for(self._level.control_frequency, self._options.max_misses, flown)
 
     def _contestant(self) -> Contestant:
         options = self._options

@@ -86,6 +86,7 @@ class Fly(DryRun):
             uri=self._uri,
             out=self.out,
             say=lambda text: self._tell(Phase.PREFLIGHT, text),
+            vehicle=self.model,
         )
         crew = Crew(
             world.rig,

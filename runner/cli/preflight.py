@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, Overrides, bad_input_exits
+from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import HOST_HELP, OPTION_HELP, SOURCE_HELP
 from crazyarena.runner.cli.options.stops import (
     Gamepad,
@@ -18,16 +19,19 @@ from crazyarena.runner.cli.options.stops import (
     Waive,
     stop_options,
 )
+from crazyarena.runner.cli.options.vehicle import vehicle_choice
 from crazyarena.whole_file import write_whole
 
 if TYPE_CHECKING:
     from crazyarena.safety.preflight import Line
+    from crazyarena.sim_backend.vehicles import VehicleChoice
 
 
 def register(app: typer.Typer) -> None:
     app.command("preflight")(preflight)
 
 
+@takes(vehicle=vehicle_choice)
 def preflight(
     uri: Annotated[
         list[str] | None,
@@ -56,6 +60,8 @@ def preflight(
     stop_connect: StopConnect = None,
     stop_listen: StopListen = None,
     stop_token: StopToken = None,
+    *,
+    vehicle: VehicleChoice,
 ) -> None:
     """Check vehicles, cameras, arena and machine; red lines come with a remedy.
 
@@ -85,6 +91,7 @@ def preflight(
             stop_options(
                 gamepad, None, stop_network, stop_connect, stop_listen, stop_token, "preflight"
             ),
+            vehicle,
         )
         checklist = gather(
             wanted, lambda text: console.print(text, highlight=False, markup=False, soft_wrap=True)

@@ -50,7 +50,7 @@ class SimulatedFlight:
 
 def judged(flight: RealFlight, time: Array) -> NDArray[np.bool_]:
     """Which times count: not take-off and landing, unless the log is too short for that."""
-    first, last = flight.commands[0][0], flight.commands[-1][0]
+    first, last = flight.start, flight.end
     inside: NDArray[np.bool_] = (time > first + SETTLE) & (time < last - LEAD_OUT)
     return inside if inside.sum() * 2 > len(time) * 0.1 else (time >= first) & (time <= last)
 
@@ -99,7 +99,7 @@ def fly(flight: RealFlight, rows: Rows, strength: float = 1.0) -> SimulatedFligh
 class _Replay:
     def __init__(self, flight: RealFlight, rows: Rows) -> None:
         self.flight = flight
-        start = flight.commands[0][0]
+        start = flight.start
         before = flight.pose.time <= start
         ground = flight.pose.value[before] if before.any() else flight.pose.value[:1]
         x, y, _ = (float(value) for value in ground[-1])
@@ -127,10 +127,10 @@ class _Replay:
     def run(self, strength: float) -> SimulatedFlight:
         flight, fleet = self.flight, self.fleet
         self._prepare()
-        start = flight.commands[0][0]
+        start = flight.start
         base = fleet.tick
         poses = flight.pose.time[(flight.pose.time >= start)]
-        poses = poses[poses <= flight.commands[-1][0]]
+        poses = poses[poses <= flight.end]
         seen, volts = np.empty((len(poses), 3)), np.empty(len(poses))
         commands = iter([*flight.commands, (np.inf, None)])
         due, command = next(commands)

@@ -92,7 +92,7 @@ def save_figure(file: Path, pairs: Sequence[Pair], vehicle: Vehicle) -> None:
         o, time = pair.outcome, pair.simulated.time
         real = pair.real.pose.at(time)
         simulated = pair.simulated.position
-        start = pair.real.commands[0][0]
+        start = pair.real.start
         target = pair.real.setpoint
         if len(target):
             top.plot(*target.value[:, :2].T, color="0.8", lw=0.8)

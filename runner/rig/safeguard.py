@@ -16,6 +16,7 @@ from crazyarena.runner.rig.stops import StopOptions, Stops, open_stops
 from crazyarena.safety.estop import EmergencyStop, Hold, say_loudly
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.flight_model import FlightModel
 from crazyarena.safety.gate import CommandGate
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.watchdog import Watchdog
@@ -25,10 +26,13 @@ LANDING = 20.0  # s, for the watchdog to bring a vehicle down
 TICK = 0.02  # s
 
 
-def limits_for(rate: float, max_misses: int) -> Limits:
-    """Default limits, with the runner's own patience for a contestant that does not answer."""
+def limits_for(rate: float, max_misses: int, vehicle: FlightModel | None = None) -> Limits:
+    """Limits of a vehicle, the default one if none is given, with the runner's own patience for
+    a contestant that does not answer."""
     hold = (max_misses + 2) / rate
     default = Limits()
+    if vehicle is not None:
+        default = default.for_vehicle(vehicle)
     return replace(
         default,
         controller_hold=max(default.controller_hold, hold),

@@ -17,12 +17,14 @@ import numpy as np
 
 from crazyarena.errors import BackendError, InputError
 from crazyarena.levels import Level
+from crazyarena.runner.rig.flight_model import foretold, known
 from crazyarena.runner.rig.rig import Rig
 from crazyarena.runner.trial.preflight import Bodies, remember
 from crazyarena.safety import preflight as pf
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.rehearsal import Rehearsals
+from crazyarena.sim_backend.vehicles import Vehicle
 
 _LOOK = 0.4  # s, over which the vehicle's estimate must be still, and bodies are counted
 _PERIOD = 0.02  # s
@@ -40,7 +42,7 @@ _ALWAYS = (
     "{} heading",
     "{} at start",
 )
-_WITH_PEOPLE = ("disk", "e-stop tested", "{} is body {}")
+_WITH_PEOPLE = ("disk", "e-stop tested", "{} is body {}", "{} model")
 
 
 def names(body: str) -> tuple[str, ...]:
@@ -67,6 +69,7 @@ class FlightChecklist:
     uri: link of the vehicle if people are there to try what needs a hand; None if not.
     out: folder recordings go to.
     say: told of each line that is waived.
+    vehicle: model of the vehicle, looked at where there are people; elsewhere it is what flies.
 
     Raises
     ------
@@ -83,7 +86,9 @@ class FlightChecklist:
         out: Path = Path("."),
         say: Callable[[str], None] = lambda text: None,
         rehearsals: Rehearsals | None = None,
+        vehicle: Vehicle | None = None,
     ) -> None:
+        self._vehicle = vehicle
         self._rig = rig
         self._level = level
         self._waive = tuple(dict.fromkeys(waive))
@@ -162,7 +167,13 @@ class FlightChecklist:
         )
         if self._uri is not None:
             machine = (*machine, pf.check_disk, pf.check_estop)
-            each = (*each, pf.check_body, pf.check_heading)
+            each = (*each, pf.check_model, pf.check_body, pf.check_heading)
+            if self._vehicle is not None:
+                fact.model = foretold(
+                    self._vehicle,
+                    known(controller or 0),
+                    lambda name: rig.backend.get_param(rig.vehicle, name),
+                )
         checklist = pf.Preflight(
             self._level,
             [fact],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 import contextlib
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -15,18 +16,15 @@ from crazyarena.errors import BackendError, CommandError, InputError
 from crazyarena.levels import Level, load_level
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
 from crazyarena.runner.rig.cameras import open_named_source
+from crazyarena.runner.rig.flight_model import foretold, known
 from crazyarena.runner.rig.stops import StopOptions, open_stops
 from crazyarena.safety.estop import EmergencyStop, Rehearsal
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.frame_rate import FrameRate
-from crazyarena.safety.preflight import (
-    Preflight,
-    VehicleFacts,
-    nose_between,
-    tilt,
-    tipped_body,
-)
+from crazyarena.safety.preflight import Preflight, VehicleFacts
 from crazyarena.safety.rehearsal import Rehearsals
+from crazyarena.safety.tipping import nose_between, tilt, tipped_body
+from crazyarena.sim_backend.vehicles import Vehicle, VehicleChoice, resolve
 from crazyarena.types import Pose, PoseFrame
 
 _PERIOD = 0.05  # s
@@ -55,6 +53,7 @@ class Wanted:
     wait: float = 5.0
     out: Path = Path("runs")
     stops: StopOptions = field(default_factory=StopOptions)
+    vehicle: VehicleChoice = field(default_factory=VehicleChoice)
 
     def vehicles(self) -> dict[str, str]:
         """Links by name; raises InputError."""
@@ -118,9 +117,10 @@ def gather(wanted: Wanted, say: Callable[[str], None]) -> Preflight:
     clock = WallClock()
     vehicles = wanted.vehicles()
     flown = load_level(wanted.level, wanted.overrides)
+    _, model = resolve(flown, wanted.vehicle)
     wanted.stops.check()
     with contextlib.ExitStack() as stack:
-        return _Gathering(wanted, flown, vehicles, clock, say, stack).run()
+        return _Gathering(wanted, flown, model, vehicles, clock, say, stack).run()
 
 
 class _Gathering:
@@ -130,6 +130,7 @@ class _Gathering:
         self,
         wanted: Wanted,
         level: Level,
+        model: Vehicle,
         vehicles: dict[str, str],
         clock: Clock,
         say: Callable[[str], None],
@@ -137,6 +138,7 @@ class _Gathering:
     ) -> None:
         self._wanted = wanted
         self._level = level
+        self._model = model
         self._vehicles = vehicles
         self._ids = {name: index + 1 for index, name in enumerate(vehicles)}
         self._clock = clock
@@ -333,6 +335,11 @@ class _Gathering:
                     fact.controller = int(
                         self._backend.get_param(self._ids[name], "stabilizer.controller")
                     )
+                fact.model = foretold(
+                    self._model,
+                    known(w.controller),
+                    functools.partial(self._backend.get_param, self._ids[name]),
+                )
             if self._pipeline is not None:
                 fact.seen = self._pipeline.estimate(name)
         remember(p, self._rehearsals, self._vehicles)

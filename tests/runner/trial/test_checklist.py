@@ -19,6 +19,7 @@ from crazyarena.runner.trial.tracked_world import TrackedWorld
 from crazyarena.safety.rehearsal import Rehearsals
 from crazyarena.sim_backend.firmware.supervisor import INFO_ARMED
 from crazyarena.sim_backend.physics.arena_plant import AB_CHARGE, AB_VOLTS, AP_CAPACITY
+from crazyarena.sim_backend.vehicles import load_vehicle
 from crazyarena.types import Pose
 from tests.runner.trial.test_phases import QUICK
 
@@ -88,7 +89,7 @@ def test_a_vehicle_in_order_may_fly(stand):
 
 
 def test_every_line_can_be_waived_and_nothing_else(stand, tmp_path):
-    _, crew, checklist, _ = stand(uri=URI, waive=names("cf1"))
+    _, crew, checklist, _ = stand(uri=URI, waive=names("cf1"), vehicle=load_vehicle())
     crew.prepare()
     (lines,) = checklist.record()["checks"]
     assert sorted(line["name"] for line in lines) == sorted(names("cf1"))
@@ -96,6 +97,16 @@ def test_every_line_can_be_waived_and_nothing_else(stand, tmp_path):
         check_waivers(["cf2 battery"], "cf1")
     with pytest.raises(InputError, match="no such line"):
         stand(waive=["batery"])
+
+
+def test_a_vehicle_that_would_hover_low_grounds_where_there_are_people(stand):
+    heavy = load_vehicle("cf21plus", ["body.mass=0.04"])
+    _, crew, _, _ = stand(uri=URI, vehicle=heavy)
+    with pytest.raises(Aborted, match=r"cf1 model: .* below its setpoint \(set ctrlMel\.mass to"):
+        crew.prepare()
+    # In simulation that is what is flown, to see what becomes of it.
+    _, crew, _, _ = stand(vehicle=heavy)
+    crew.prepare()
 
 
 def test_a_low_battery_grounds_unless_waived(stand):
