@@ -94,7 +94,7 @@ def build_argparser(
         "--mocap",
         metavar="SOURCE[:HOST]",
         help="[radio] forward poses from here and prepare the vehicles before the script starts, "
-        "e.g. vicon:192.168.1.2 or zenoh:tcp/127.0.0.1:7447",
+        "e.g. vicon:192.168.1.2 or zenoh:tcp/127.0.0.1:7447; onboard: they have positioning decks",
     )
     parser.add_argument(
         "--watchdog",

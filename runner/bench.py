@@ -15,7 +15,11 @@ from typing import Any
 from rich.console import Console
 
 from crazyarena.errors import InputError
+from crazyarena.levels import load_level
+from crazyarena.levels.draw import LevelRandom
 from crazyarena.levels.schema import Level
+from crazyarena.mocap.onboard import KIND as ONBOARD
+from crazyarena.mocap.survey import write_taped
 from crazyarena.plain_text import shown_line
 from crazyarena.runner.dry_run import DryRun
 from crazyarena.runner.fly import Fly
@@ -29,6 +33,7 @@ from crazyarena.runner.rig.virtual_arena import VirtualArena
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.warm_up import compile_missing
 from crazyarena.safety.limits import Limits
+from crazyarena.sim_backend.arena_world import feet, track_truth
 from crazyarena.sim_backend.crazyradio.environment import with_dongles
 from crazyarena.sim_backend.vehicles import VehicleChoice
 
@@ -76,7 +81,8 @@ class Bench:
     vehicle, spread: as for :class:`~crazyarena.runner.dry_run.DryRun`; both sides fly the same.
     mocap: what the cameras speak, one of
         :data:`~crazyarena.runner.rig.arena_cameras.PROTOCOLS`; mocap_options: of the source that
-        sees through them.
+        sees through them. Or ``onboard``: a deck on the vehicle (option ``deck``) and no cameras;
+        the track is then known from a file, as if measured by hand.
     """
 
     def __init__(
@@ -104,6 +110,9 @@ class Bench:
     ) -> None:
         self._mocap = mocap
         self._mocap_options = mocap_options
+        self._deck = None
+        if mocap == ONBOARD:
+            self._deck = str((mocap_options or {}).get("deck", "lighthouse"))
         self._radio = radio
         self._cameras = cameras
         self._submission = submission
@@ -149,6 +158,7 @@ class Bench:
                     seed=seed,
                     out=self._out / f"dry_{index:02d}",
                     noise_seed=seed + index,
+                    deck=self._deck,
                     **self._common,
                 )
                 result.dry.append(dry.run())
@@ -196,6 +206,12 @@ class Bench:
             rig.closers.insert(0, arena.close)
             return rig
 
+        surveyed = None
+        if self._mocap == ONBOARD:
+            loaded = load_level(self._level, self._common["overrides"])
+            draw = LevelRandom(loaded, seed).reset()
+            surveyed = str(folder / "track.json")
+            write_taped(surveyed, track_truth(feet(draw), draw.obstacles), loaded.name)
         fly = Fly(
             self._submission,
             self._level,
@@ -206,6 +222,8 @@ class Bench:
             real_time=self._real_time,
             stops=self._stops,
             waive=self._waive,
+            surveyed=surveyed,
+            onboard=self._mocap == ONBOARD,
             **self._common,
         )
         flown = fly.run()

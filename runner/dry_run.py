@@ -61,9 +61,11 @@ def make_world(
     limits: Limits | None = None,
     supply: VehicleSupply | None = None,
     cameras: CameraModel | None = None,
+    deck: str | None = None,
 ) -> World:
     """Return the simulated world of a level's profile; ``seed`` is that of its noise, ``limits``
-    those of its watchdog, ``supply`` of the vehicles of an arena, ``cameras`` its own."""
+    those of its watchdog, ``supply`` of the vehicles of an arena, ``cameras`` its own, ``deck`` on
+    its vehicle instead of those."""
     if level.profile is Profile.COMPETITION:
         from crazyarena.sim_backend.competition import CompetitionWorld
 
@@ -71,7 +73,7 @@ def make_world(
     from crazyarena.runner.rig.rig import simulated
     from crazyarena.runner.trial.tracked_world import TrackedWorld
 
-    return TrackedWorld(simulated(level, seed, cameras, limits=limits, supply=supply))
+    return TrackedWorld(simulated(level, seed, cameras, limits=limits, supply=supply, deck=deck))
 
 
 class _Display:
@@ -97,7 +99,7 @@ class DryRun:
     noise_seed: of the rig's measurement noise; that of the level's draws by default.
     vehicle: which vehicle flies, on arena levels; that of the level by default.
     spread: whether a vehicle is drawn from the spread of the model; as the level says by default.
-    cameras: of an arena, instead of the usual ones.
+    cameras: of an arena, instead of the usual ones. deck: on the vehicle, instead of cameras.
     """
 
     def __init__(
@@ -116,8 +118,10 @@ class DryRun:
         vehicle: VehicleChoice | None = None,
         spread: bool | None = None,
         cameras: CameraModel | None = None,
+        deck: str | None = None,
     ) -> None:
         self._cameras = cameras
+        self._deck = deck
         self._level = load_level(level, overrides)
         self._vehicle: Vehicle | None = None
         self._choose(vehicle, spread)
@@ -253,7 +257,7 @@ class DryRun:
 
     def _make_world(self) -> World:
         seed = self._seed if self._noise_seed is None else self._noise_seed
-        return make_world(self._level, seed, self._limits(), self.supply, self._cameras)
+        return make_world(self._level, seed, self._limits(), self.supply, self._cameras, self._deck)
 
     def _limits(self) -> Limits:
         """Of the watchdog, for the vehicle as its model has it, whatever is drawn."""

@@ -44,6 +44,7 @@ from crazyarena.sim_backend.arena_params import (
     param_value,
 )
 from crazyarena.sim_backend.arena_rows import VehicleRows
+from crazyarena.sim_backend.decks import DeckRack
 from crazyarena.sim_backend.firmware import collision_avoidance, high_level, stack_2026
 from crazyarena.sim_backend.firmware import commander as setpoints
 from crazyarena.sim_backend.firmware import layout as la
@@ -114,6 +115,7 @@ class ArenaFleet:
     ----------
     contacts: list of :class:`~crazyarena.types.VehicleContact`, the contacts between vehicles
         so far, each at its beginning; touching again within 0.1 s is the same contact.
+    decks: positioning decks on the vehicles, none at first.
     """
 
     def __init__(
@@ -166,6 +168,7 @@ class ArenaFleet:
         self._hears = np.ones((n, n), dtype=np.uint8)
         self.contacts: list[VehicleContact] = []
         self._wakes = downwash
+        self.decks = DeckRack()
         self._near = np.zeros(n, dtype=np.uint8)
         self._members = np.zeros(n, dtype=np.int64)
         self._meetings = np.zeros((n * (n - 1) // 2, V_SIZE))
@@ -255,6 +258,16 @@ class ArenaFleet:
 
         ``traces`` (n, >= ticks, TRACE_SIZE) is filled with one row per vehicle and tick.
         """
+        done = 0
+        while done < ticks:
+            for vehicle, deck in self.decks.due(self.tick):
+                velocity = self.bodies[vehicle, cs.B_VEL : cs.B_VEL + 3]
+                self._enqueue(vehicle, *deck.sense(self.true_pose(vehicle), velocity), 0.0)
+            span = self.decks.span(self.tick, ticks - done)
+            self._advance(span, None if traces is None else traces[:, done:])
+            done += span
+
+    def _advance(self, ticks: int, traces: Array | None) -> None:
         n = len(self)
         noise = self._no_noise
         if self._rng is not None and self._noise != SensorNoise():
@@ -406,6 +419,8 @@ class ArenaFleet:
 
     def get_param(self, vehicle: int, name: str) -> float:
         """Value of ``group.name``; raises BackendError if the vehicle has no such parameter."""
+        if (fitted := self.decks.fitted(vehicle, name)) is not None:
+            return fitted
         index = param_index(name, self.ids[vehicle])
         return param_value(index, float(self.params[vehicle, index]))
 
@@ -426,11 +441,14 @@ class ArenaFleet:
         """Battery, supervisor and estimate; the radio's share of it is the link's business."""
         rows = self.rows(vehicle)
         state = rows.state
+        position_std, velocity_std = rows.stds
         return Telemetry(
             timestamp=self.time,
             battery=float(rows.body[AB_VOLTS]),
             supervisor=int(rows.supervisor[sv.SV_INFO]),
             power_state=self.power.state(vehicle, self.tick),
+            position_std=position_std,
+            velocity_std=velocity_std,
             state=VehicleState(
                 timestamp=self.time,
                 position=state[la.ST_POS : la.ST_POS + 3].copy(),

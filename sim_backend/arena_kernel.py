@@ -80,8 +80,8 @@ DT = 1e-3  # s
 # Queue of external poses on their way to a vehicle: a header row, then a ring of entries.
 Q_HEAD, Q_COUNT = 0, 1  # header
 Q_ARRIVAL = 0  # firmware tick of arrival
-Q_KIND = 1  # MEAS_POSE or MEAS_POSITION
-Q_POSE = 2  # position 3, quaternion x, y, z, w
+Q_KIND = 1  # MEAS_POSE, MEAS_POSITION or MEAS_FLOW
+Q_POSE = 2  # position 3, quaternion x, y, z, w; or as kalman_measure says
 QUEUE_COLUMNS = 9
 QUEUE_LENGTH = 20  # as on the vehicle; what does not fit is lost
 

@@ -79,6 +79,7 @@ class VehicleLink:
             clock, options.state_rate, options.health_rate, self._packets_out
         )
         self.telemetry.plant_rate = options.plant_rate
+        self.telemetry.certainty_rate = options.certainty_rate
         self.pings = Pings(self._round_trip)
         self.client: Client | None = None
         self.connected = False

@@ -34,12 +34,13 @@ if TYPE_CHECKING:
 
 
 class CameraChoice(StrEnum):
-    """What the cameras speak."""
+    """What the cameras speak; ``onboard`` is a vehicle that knows its place by a deck."""
 
     ZENOH = "zenoh"
     QUALISYS = "qualisys"
     NATNET = "natnet"
     VRPN = "vrpn"
+    ONBOARD = "onboard"
 
 
 class LinkChoice(StrEnum):
@@ -74,7 +75,8 @@ def bench(
         float | None, typer.Option(min=10.0, max=500.0, metavar="HZ", help="Camera frames.")
     ] = None,
     mocap: Annotated[
-        CameraChoice, typer.Option(help="What the emulated cameras speak.")
+        CameraChoice,
+        typer.Option(help="What the cameras speak; onboard: none, but a deck."),
     ] = CameraChoice.ZENOH,
     mocap_option: Annotated[
         list[str] | None, typer.Option(metavar="KEY=VALUE", help=OPTION_HELP)

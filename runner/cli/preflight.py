@@ -116,9 +116,12 @@ def table(lines: list[Line]) -> Any:
     for name in ("", "line", "found", "remedy"):
         view.add_column(name)
     for line in lines:
-        word, style = (
-            ("ok", "green") if line.ok else ("waived", "yellow") if line.waived else ("no", "red")
-        )
+        if not line.checked:
+            word, style = "--", "yellow"
+        elif line.ok:
+            word, style = "ok", "green"
+        else:
+            word, style = ("waived", "yellow") if line.waived else ("no", "red")
         remedy = "" if line.ok else line.remedy
         view.add_row(Text(word, style), Text(line.name), Text(line.found), Text(remedy))
     return view

@@ -48,6 +48,7 @@ class Safeguard:
     backend: the vehicle link itself.
     feed: feeds the vehicle's own emergency-stop watchdog; None if it has none.
     dead_man: what the operator holds while the vehicle flies; None for nothing.
+    independent: see :class:`~crazyarena.safety.watchdog.Watchdog`.
     """
 
     def __init__(
@@ -61,8 +62,10 @@ class Safeguard:
         limits: Limits | None = None,
         feed: Callable[[int], None] | None = None,
         dead_man: Hold | None = None,
+        independent: bool = True,
     ) -> None:
         self._dead_man = dead_man
+        self._independent = independent
         self._stops: Stops | None = None
         self._keys: Stops | None = None
         self._clock = clock
@@ -96,6 +99,7 @@ class Safeguard:
             feed=self._feed,
             estop=self.estop,
             dead_man=self._dead_man,
+            independent=self._independent,
             on_event=self._told.append,
         )
 

@@ -159,7 +159,8 @@ class Homecoming(Hands):
             raise Aborted(phase, "the vehicle tumbled, crashed or was locked")
         if self._estimate().freshness is Freshness.STALE:
             self._send_quietly(cs.Land(0.0, 2.0))
-            raise Aborted(phase, f"the cameras lost {self._rig.body!r}")
+            who = "the cameras lost" if self._rig.onboard is None else "nothing is known of"
+            raise Aborted(phase, f"{who} {self._rig.body!r}")
 
     def _disarm(self) -> None:
         self._send_quietly(cs.CutMotors())

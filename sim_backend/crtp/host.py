@@ -28,6 +28,7 @@ from crazyarena.sim_backend.crtp.orders import obey
 from crazyarena.sim_backend.crtp.server import VirtualServer
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
 from crazyarena.sim_backend.crtp.toc import Table
+from crazyarena.sim_backend.decks import make_deck
 from crazyarena.sim_backend.physics.scene import build_scene
 from crazyarena.sim_backend.vehicles import VehicleChoice, resolve, vehicle_rows
 
@@ -45,7 +46,8 @@ class Options:
     them or, with ``camera_noise``, as real ones do. ``radio`` puts the vehicles on the air instead
     of UDP ports, on these channels, for programs whose dongles look for it on ``radio_port``.
     ``table`` is whose parameters and log variables they have. ``fleet`` is a vehicle list of
-    Crazyswarm 1 or 2: how many, their numbers and where they stand.
+    Crazyswarm 1 or 2: how many, their numbers and where they stand. ``deck`` is a positioning deck
+    that each carries, see :mod:`crazyarena.sim_backend.decks`.
     """
 
     count: int = 1
@@ -70,6 +72,7 @@ class Options:
     radio_port: int = DEFAULT_PORT
     table: str = Table.CF21
     fleet: str | None = None
+    deck: str | None = None
 
 
 def starts(count: int, first: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
@@ -171,6 +174,9 @@ def build(options: Options) -> Host:
         vehicles=vehicle_rows(model),
         scene=scene,
     )
+    if options.deck is not None:
+        for index, rng in enumerate(np.random.default_rng(options.seed).spawn(len(fleet))):
+            fleet.decks.fit(index, make_deck(options.deck, rng))
     # The first tick compiles the kernels, which must not happen in flight.
     fleet.advance(1)
     swarm = VirtualSwarm(fleet, feed_rate=options.feed_poses, table=Table(options.table))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from crazyarena.clock import WallClock
@@ -17,6 +18,7 @@ from crazyarena.errors import BackendError
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level
 from crazyarena.mocap.estimator import BodyEstimate, PoseEstimator
+from crazyarena.mocap.onboard import KIND as ONBOARD
 from crazyarena.mocap.opening import SourceSpec
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.mocap.source import SourceStatus
@@ -30,6 +32,7 @@ from crazyarena.runner.timing.wakeup import StampedClock
 from crazyarena.safety.events import SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import Limits
+from crazyarena.safety.own_estimate import OwnEstimate
 from crazyarena.sim_backend.vehicles import Vehicle, load_vehicle
 from crazyarena.sim_backend.vehicles.rows import told_params
 from crazyarena.types import Pose, PoseFrame, Telemetry
@@ -318,6 +321,10 @@ def connected(
         estimator = PoseEstimator((body,))
         estimator.warm_up()
         process.await_ready()
+        backend = RemoteBackend(process, vehicle)
+        onboard = None
+        if source.kind == ONBOARD:
+            onboard = OwnEstimate.of(partial(backend.get_param, vehicle), source.options)
         listeners = FrameListeners()
         pipeline = RemotePipeline(
             _Frames(process),
@@ -336,7 +343,7 @@ def connected(
         about["vehicle"] = model.name
     return Rig(
         clock,
-        RemoteBackend(process, vehicle),
+        backend,
         pipeline,
         listeners,
         vehicle,
@@ -346,4 +353,5 @@ def connected(
         {**about, **(description or {})},
         [process.close, guard.close_keys],
         lambda: process.lost,
+        onboard=onboard,
     )
