@@ -28,6 +28,7 @@ from crazyarena.runner.warm_up import compile_missing
 from crazyarena.safety.limits import Limits
 from crazyarena.sim_backend.crazyradio.environment import with_dongles
 from crazyarena.sim_backend.vehicles import VehicleChoice
+from crazyarena.viewer_process import View, ViewOptions
 
 
 @dataclass
@@ -59,6 +60,7 @@ class Bench:
     mocap: what the cameras speak, one of
         :data:`~crazyarena.runner.rig.arena_cameras.PROTOCOLS`; mocap_options: of the source that
         sees through them.
+    view: show the flights in the browser.
     """
 
     def __init__(
@@ -83,7 +85,10 @@ class Bench:
         spread: bool | None = None,
         mocap: str = "zenoh",
         mocap_options: dict[str, Any] | None = None,
+        view: ViewOptions | None = None,
     ) -> None:
+        self._view_options = view
+        self._view: View | None = None
         self._mocap = mocap
         self._mocap_options = mocap_options
         self._radio = radio
@@ -110,6 +115,25 @@ class Bench:
 
     def run(self) -> BenchResult:
         """Fly everything."""
+        if self._view_options is not None:
+            self._view = View(
+                self._view_options,
+                lambda text: self._console.print(text, highlight=False, soft_wrap=True),
+            )
+        try:
+            result = self._run()
+        except BaseException:
+            if self._view is not None:
+                self._view.close()
+            raise
+        return result
+
+    def finish(self) -> None:
+        """Let the viewer stay as long as somebody looks."""
+        if self._view is not None:
+            self._view.finish()
+
+    def _run(self) -> BenchResult:
         compile_missing(("arena", "estimator", "referee"), self._console)
         result = BenchResult()
         for index in range(self._runs):
@@ -177,6 +201,7 @@ class Bench:
             real_time=self._real_time,
             stops=self._stops,
             waive=self._waive,
+            view=self._view,
             **self._common,
         )
         flown = fly.run()

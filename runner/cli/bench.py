@@ -25,11 +25,13 @@ from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import OPTION_HELP
 from crazyarena.runner.cli.options.stops import Waive, flight_stops
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
+from crazyarena.runner.cli.options.view import view_options
 
 if TYPE_CHECKING:
     from crazyarena.runner.rig.stops import StopOptions
     from crazyarena.runner.trial.options import FlightOptions
     from crazyarena.sim_backend.vehicles import VehicleChoice
+    from crazyarena.viewer_process import ViewOptions
 
 
 class CameraChoice(StrEnum):
@@ -52,7 +54,7 @@ def register(app: typer.Typer) -> None:
     app.command("bench")(bench)
 
 
-@takes(vehicle=vehicle_choice, options=flight_options, stops=flight_stops)
+@takes(vehicle=vehicle_choice, options=flight_options, stops=flight_stops, view=view_options)
 def bench(
     submission: AnySubmission = None,
     level: ArenaLevel = "sim2real",
@@ -88,6 +90,7 @@ def bench(
     figure: Annotated[bool, typer.Option(help="Write figures.")] = True,
     waive: Waive = None,
     stops: Callable[[str], StopOptions],
+    view: Callable[[], ViewOptions | None],
 ) -> None:
     """Fly a virtual Crazyflie over UDP or radio with emulated cameras, in real time.
 
@@ -110,7 +113,7 @@ def bench(
         stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
         folder = out if out is not None else Path("runs") / f"{stamp}-bench-{loaded.name}"
         folder.mkdir(parents=True, exist_ok=True)
-        result = Bench(
+        run = Bench(
             submission,
             level,
             folder.resolve(),
@@ -130,7 +133,9 @@ def bench(
             stops=stops("bench"),
             vehicle=vehicle,
             spread=vehicle_spread,
-        ).run()
+            view=view(),
+        )
+        result = run.run()
         if result.comparison is not None:
             console.print(comparing.table(result.comparison))
             summary = {**result.comparison.summary(), "arenas": result.arenas}
@@ -138,5 +143,6 @@ def bench(
             if figure:
                 comparing.save_figure(folder / "compare.png", result.comparison)
                 console.print(f"Figure: {folder / 'compare.png'}", highlight=False, soft_wrap=True)
+        run.finish()
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)
