@@ -36,6 +36,7 @@ from crazyarena.safety.limits import Limits
 from crazyarena.sim_backend.arena_world import feet, track_truth
 from crazyarena.sim_backend.crazyradio.environment import with_dongles
 from crazyarena.sim_backend.vehicles import VehicleChoice
+from crazyarena.viewer_process import View, ViewOptions
 
 
 @dataclass
@@ -83,6 +84,7 @@ class Bench:
         :data:`~crazyarena.runner.rig.arena_cameras.PROTOCOLS`; mocap_options: of the source that
         sees through them. Or ``onboard``: a deck on the vehicle (option ``deck``) and no cameras;
         the track is then known from a file, as if measured by hand.
+    view: show the flights in the browser.
     """
 
     def __init__(
@@ -107,7 +109,10 @@ class Bench:
         spread: bool | None = None,
         mocap: str = "zenoh",
         mocap_options: dict[str, Any] | None = None,
+        view: ViewOptions | None = None,
     ) -> None:
+        self._view_options = view
+        self._view: View | None = None
         self._mocap = mocap
         self._mocap_options = mocap_options
         self._deck = None
@@ -137,6 +142,25 @@ class Bench:
 
     def run(self) -> BenchResult:
         """Fly everything."""
+        if self._view_options is not None:
+            self._view = View(
+                self._view_options,
+                lambda text: self._console.print(text, highlight=False, soft_wrap=True),
+            )
+        try:
+            result = self._run()
+        except BaseException:
+            if self._view is not None:
+                self._view.close()
+            raise
+        return result
+
+    def finish(self) -> None:
+        """Let the viewer stay as long as somebody looks."""
+        if self._view is not None:
+            self._view.finish()
+
+    def _run(self) -> BenchResult:
         refuse_older_run(self._out)
         compile_missing(("arena", "estimator", "referee"), self._console)
         result = BenchResult()
@@ -224,6 +248,7 @@ class Bench:
             waive=self._waive,
             surveyed=surveyed,
             onboard=self._mocap == ONBOARD,
+            view=self._view,
             **self._common,
         )
         flown = fly.run()

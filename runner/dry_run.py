@@ -30,14 +30,16 @@ from crazyarena.runner.trial.staging import Staging
 from crazyarena.runner.trial.trial import Trial
 from crazyarena.runner.trial.world import World
 from crazyarena.runner.warm_up import compile_missing, parts_of
+from crazyarena.viewer_process import View, ViewOptions
 
 # What only arena levels need is imported when one is flown: it would double the start-up.
 if TYPE_CHECKING:
     from crazyarena.mocap.camera_model import CameraModel
     from crazyarena.runner.trial.checklist import FlightChecklist
     from crazyarena.runner.trial.injection import Injection
-    from crazyarena.runner.trial.phase import MeasuredTrack
+    from crazyarena.runner.trial.phase import MeasuredTrack, Phase
     from crazyarena.runner.trial.phases import Crew
+    from crazyarena.runner.trial.showing import Showing
     from crazyarena.runner.trial.tracked_world import TrackedWorld
     from crazyarena.safety.limits import Limits
     from crazyarena.sim_backend.vehicles import Vehicle, VehicleChoice, VehicleSupply
@@ -100,6 +102,8 @@ class DryRun:
     vehicle: which vehicle flies, on arena levels; that of the level by default.
     spread: whether a vehicle is drawn from the spread of the model; as the level says by default.
     cameras: of an arena, instead of the usual ones. deck: on the vehicle, instead of cameras.
+    view: show it in the browser; pace: times real time that it then flies at, 0 for as fast as it
+        goes.
     """
 
     def __init__(
@@ -119,9 +123,15 @@ class DryRun:
         spread: bool | None = None,
         cameras: CameraModel | None = None,
         deck: str | None = None,
+        view: View | ViewOptions | None = None,
+        pace: float = 1.0,
     ) -> None:
-        self._cameras = cameras
         self._deck = deck
+        self._cameras = cameras
+        self._wanted_view = view
+        self._view: View | None = None
+        self._pace = pace
+        self._show: Showing | None = None
         self._level = load_level(level, overrides)
         self._vehicle: Vehicle | None = None
         self._choose(vehicle, spread)
@@ -182,6 +192,14 @@ class DryRun:
         InputError: nothing has flown. StorageError: the disk takes no more; what was flown before
             is reported and kept.
         """
+        try:
+            return self._run()
+        except BaseException:
+            if self._view is not None and self._view is not self._wanted_view:
+                self._view.close()
+            raise
+
+    def _run(self) -> TrialResult:
         console = self._console
         level = self._level
         compile_missing(parts_of(level), console)
@@ -198,6 +216,7 @@ class DryRun:
         try:
             with contextlib.ExitStack() as stack:
                 stack.callback(world.close)
+                self._open_show(world, stack)
                 contestant = self._contestant()
                 stack.callback(contestant.close)
                 origin = self._origin
@@ -214,6 +233,8 @@ class DryRun:
         self._report(result)
         if result.cut_short is not None:
             raise StorageError(result.cut_short)
+        if self._view is not None and self._view is not self._wanted_view:
+            self._view.finish()
         return result
 
     def _left_by_error(self) -> None:
@@ -251,6 +272,35 @@ class DryRun:
         self._print(f"Results in {shown_line(str(self.out))}")
         if self._draw_figures(result):
             self._results.finish(result_document(result, origin))
+
+    def _opened_view(self) -> View | None:
+        """Where viewers look; None if nobody is to."""
+        wanted = self._wanted_view
+        return View(wanted, self._print) if isinstance(wanted, ViewOptions) else wanted
+
+    _controlled = False
+    """A viewer may stop and land what flies."""
+
+    def _open_show(self, world: World, stack: contextlib.ExitStack) -> None:
+        self._view = self._opened_view()
+        if self._view is None:
+            return
+        from crazyarena.runner.trial.showing import Showing
+        from crazyarena.runner.trial.tracked_world import TrackedWorld
+
+        self._show = Showing(
+            self._view.live,
+            self._level,
+            self._episodes,
+            limits=self._limits(),
+            pace=self._pace,
+            control=self._controlled,
+        )
+        stack.callback(self._show.close)
+        if isinstance(world, TrackedWorld):
+            self._show.attach(world.rig)
+        if not self._controlled:
+            self._view.await_browser()
 
     def _print(self, text: str, style: str | None = None) -> None:
         self._console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
@@ -295,6 +345,7 @@ class DryRun:
             "keep_states": self._figure,
             "on_step": display,
             "on_episode": self._keep,
+            "show": self._show,
         }
         deadlines = self._options.deadlines(self._level)
         origin["deadlines"] = {
@@ -355,7 +406,30 @@ class DryRun:
         from crazyarena.runner.trial.phases import Crew
 
         self._preflight = FlightChecklist(world.rig, self._level)
-        return Crew(world.rig, world, self._level, checks=(self._preflight,), anywhere=True)
+        return Crew(
+            world.rig,
+            world,
+            self._level,
+            on_phase=self._tell,
+            checks=(self._checked,),
+            anywhere=True,
+        )
+
+    def _tell(self, phase: Phase, text: str) -> None:
+        """A phase has begun, or has found something."""
+        if self._show is not None:
+            self._show.phase(phase, text)
+
+    def _checked(self) -> list[str]:
+        """Go through the checklist, for viewers to see; returns what grounds the vehicle."""
+        assert self._preflight is not None
+        problems = self._preflight()
+        if self._show is not None:
+            self._show.checklist(
+                (line.name, line.ok, line.found, line.remedy, line.waived)
+                for line in self._preflight.lines
+            )
+        return problems
 
     def _injection(self, stack: contextlib.ExitStack) -> Injection:
         from crazyarena.runner.trial.injection import Injection

@@ -21,6 +21,7 @@ from crazyarena.runner.trial.tracked_world import TrackedWorld
 from crazyarena.runner.trial.world import World
 from crazyarena.safety.limits import Limits
 from crazyarena.types import Pose
+from crazyarena.viewer_process import View
 
 OpenRig = Callable[[Level, Limits], Rig]
 
@@ -59,6 +60,7 @@ class Fly(DryRun):
         onboard: bool = False,
         **options: Any,
     ) -> None:
+        options.setdefault("pace", 0.0)  # the clock's own
         super().__init__(*arguments, **options)
         if self._level.profile is not Profile.ARENA:
             raise InputError(
@@ -108,7 +110,7 @@ class Fly(DryRun):
             confirm=lambda question: self._confirm(question, world),
             on_phase=self._tell,
             surveyed=self._surveyed,
-            checks=(self._preflight,),
+            checks=(self._checked,),
             anywhere=True,  # that is a line of the checklist
         )
         self._listen_for_stops(world, crew)
@@ -121,7 +123,21 @@ class Fly(DryRun):
         stack.callback(outlet.close)
         return Injection(outlet)
 
+    _controlled = True
+
+    def _opened_view(self) -> View | None:
+        """Always there: people may want to look when the flight has begun already."""
+        wanted = self._wanted_view
+        if wanted is not None:
+            return super()._opened_view()
+        try:
+            return View(None, self._print)
+        except InputError as error:
+            self._print(str(error))
+            return None
+
     def _tell(self, phase: Phase, text: str) -> None:
+        super()._tell(phase, text)
         line = phase.value if not text else f"{phase.value}: {text}"
         self._console.print(line, highlight=False, markup=False)
 

@@ -61,6 +61,17 @@ def text(driver: Any) -> str:
     return str(driver.execute_script("return document.body.innerText"))
 
 
+def open_tab(driver: Any, name: str) -> None:
+    """Bring a tab of the panel to the front."""
+    from selenium.webdriver.common.by import By
+
+    for tab in driver.find_elements(By.CSS_SELECTOR, "[role=tab]"):
+        if tab.text.strip() == name:
+            tab.click()
+            return
+    raise AssertionError(f"no tab {name!r}")
+
+
 def press(driver: Any, label: str) -> bool:
     """Click the button with this label; False while there is none."""
     script = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,17 +17,19 @@ from crazyarena.runner.cli.common import (
 from crazyarena.runner.cli.options.flight import Sandbox, flight_options
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
+from crazyarena.runner.cli.options.view import view_options
 
 if TYPE_CHECKING:
     from crazyarena.runner.trial.options import FlightOptions
     from crazyarena.sim_backend.vehicles import VehicleChoice
+    from crazyarena.viewer_process import ViewOptions
 
 
 def register(app: typer.Typer) -> None:
     app.command("dry-run")(dry_run)
 
 
-@takes(vehicle=vehicle_choice, options=flight_options)
+@takes(vehicle=vehicle_choice, options=flight_options, view=view_options)
 def dry_run(
     submission: Annotated[
         Path | None,
@@ -69,6 +72,16 @@ def dry_run(
             "the flight is still completed (arena levels; some 50 flights).",
         ),
     ] = False,
+    view: Callable[[], ViewOptions | None],
+    view_speed: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=1000.0,
+            help="With --view: times real time that the flight is shown at; 0 for as fast as it "
+            "goes.",
+        ),
+    ] = 1.0,
 ) -> None:
     """Fly a submission in simulation and judge it by the competition's rules.
 
@@ -99,6 +112,8 @@ def dry_run(
             options=options,
             vehicle=vehicle,
             spread=vehicle_spread,
+            view=view(),
+            pace=view_speed if view() else 0.0,
         )
         result = run.run()
     if not result.clean:

@@ -25,10 +25,12 @@ from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import HOST_HELP, OPTION_HELP, SOURCE_HELP
 from crazyarena.runner.cli.options.stops import Waive, flight_stops
 from crazyarena.runner.cli.options.vehicle import VehicleSet, VehicleSpread
+from crazyarena.runner.cli.options.view import view_options
 
 if TYPE_CHECKING:
     from crazyarena.runner.rig.stops import StopOptions
     from crazyarena.runner.trial.options import FlightOptions
+    from crazyarena.viewer_process import ViewOptions
 
 
 class BackendChoice(StrEnum):
@@ -42,7 +44,7 @@ def register(app: typer.Typer) -> None:
     app.command("fly")(fly)
 
 
-@takes(options=flight_options, stops=flight_stops)
+@takes(options=flight_options, stops=flight_stops, view=view_options)
 def fly(
     submission: AnySubmission = None,
     level: ArenaLevel = "sim2real",
@@ -104,6 +106,7 @@ def fly(
     ] = True,
     waive: Waive = None,
     stops: Callable[[str], StopOptions],
+    view: Callable[[], ViewOptions | None],
 ) -> None:
     """Connect, check, survey the track, arm, fly, come home, land.
 
@@ -187,6 +190,8 @@ def fly(
             onboard=mocap == ONBOARD,
             vehicle=VehicleChoice(vehicle, tuple(vehicle_set or ())),
             spread=vehicle_spread,
+            view=view(),
+            pace=0.0 if real else 1.0,
         )
         result = run.run()
     if not result.clean:

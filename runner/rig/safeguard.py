@@ -119,7 +119,9 @@ class Safeguard:
 
         Returns what is in force, in words, and what must be held, if anything.
         """
-        self._stops = open_stops(options, self.estop, self._clock, say=self._trouble)
+        self._stops = open_stops(
+            options, self.estop, self._clock, say=self._trouble, land=self._land
+        )
         self.must_hold(self._stops.dead_man)
         return self._stops.notes, self._stops.dead_man
 
@@ -128,6 +130,15 @@ class Safeguard:
         held = None if self._stops is None else self._stops.dead_man
         self._keys = open_stops(options, self.estop, self._clock, dead_man=held, say=self._trouble)
         return self._keys.notes
+
+    def _land(self, reason: str) -> None:
+        """The operator wants it down; from the thread of a source."""
+        self.watchdog.request(Action.LAND, "operator_land", self._vehicle)
+
+    @property
+    def ladder(self) -> str:
+        """Where the watchdog's ladder stands, by name."""
+        return self.watchdog.action(self._vehicle).name
 
     def _trouble(self, text: str) -> None:
         """A source of the stop was tampered with or is gone; from its thread."""

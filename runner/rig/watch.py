@@ -53,6 +53,11 @@ class Guard(Watch, Protocol):
 
     fence: Fence
 
+    @property
+    def ladder(self) -> str:
+        """Where the watchdog's ladder stands, by name."""
+        ...
+
     def record(self) -> list[SafetyEvent]:
         """Everything the watchdog has done so far."""
         ...

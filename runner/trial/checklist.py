@@ -125,6 +125,11 @@ class FlightChecklist:
             problems[-1] += f". To fly in spite of it: --waive {grounding[-1].name!r}"
         return problems
 
+    @property
+    def lines(self) -> list[pf.Line]:
+        """Of the last look."""
+        return list(self._runs[-1]) if self._runs else []
+
     def record(self) -> dict[str, Any]:
         """For ``result.json``: what was waived, and the lines before each arming."""
         waived = [line.name for lines in self._runs for line in lines if line.waived]

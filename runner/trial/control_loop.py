@@ -145,6 +145,16 @@ class ControlLoop:
         return self._result(reason), self._obs
 
     @property
+    def row(self) -> np.ndarray | None:
+        """(TRACE_SIZE,) the last that was judged; None before the first."""
+        return self._rows[-1] if len(self._rows) else None
+
+    @property
+    def missed(self) -> int:
+        """Ticks so far at which no command was sent."""
+        return self._missed
+
+    @property
     def thought(self) -> float:
         """s of wall time that the contestant has taken for its answers."""
         return self._thought

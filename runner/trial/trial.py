@@ -41,6 +41,7 @@ from crazyarena.runner.records.scene import scene_update
 from crazyarena.runner.trial.control_loop import ControlLoop, Deadlines
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.trial.phase import Aborted, MeasuredTrack, Phase
+from crazyarena.runner.trial.showing import Showing
 from crazyarena.runner.trial.staging import Staging
 from crazyarena.runner.trial.world import World
 
@@ -75,6 +76,7 @@ class Trial:
     keep_states: keep the flight in memory for ``on_episode`` even if nothing is recorded.
     on_step: called with (episode, time s) after every control step.
     on_episode: called with each episode's result, recorder (or None) and track right after it.
+    show: for viewers.
     """
 
     def __init__(
@@ -92,6 +94,7 @@ class Trial:
         on_step: Callable[[int, float], None] | None = None,
         on_episode: Callable[[EpisodeResult, Recorder | None, Any], None] | None = None,
         wall: Clock | None = None,
+        show: Showing | None = None,
     ) -> None:
         require_firmware(level)
         self._level = level
@@ -106,6 +109,7 @@ class Trial:
         self._on_step = on_step
         self._on_episode = on_episode
         self._wall = wall if wall is not None else WallClock()
+        self._show = show
         self._made = self._flown = False
         self._last_endings = _ENDS_RENEWED if self._staging.renews else _ENDS_TRIAL
         self._thought = 0.0  # s of wall time, by the contestant
@@ -158,6 +162,8 @@ class Trial:
         with staging.else_abort():
             recorder = self._recorder(index, draw, track, start)
         staging.announce(track, self._level, recorder)
+        if self._show is not None:
+            self._show.begin(index, track.gates, track.obstacles)
         try:
             with staging.on_stage():
                 result, obs = self._run(index, referee, obs, interrupt, recorder)
@@ -196,11 +202,15 @@ class Trial:
         interrupt: Interrupt,
         recorder: Recorder | None,
     ) -> tuple[EpisodeResult, list[Any]]:
-        staging, on_step = self._staging, self._on_step
+        staging, on_step, show = self._staging, self._on_step, self._show
         staging.begin()
+        if show is not None:
+            show.running()
 
         def judged(verdict: Verdict, time: float) -> None:
             staging.judged(verdict, time, recorder)
+            if show is not None:
+                show.step(verdict, time, loop.row, loop.missed)
 
         loop = ControlLoop(
             index,
@@ -223,6 +233,8 @@ class Trial:
             staging.failed()
             raise
         self._thought += loop.thought
+        if show is not None:
+            show.end(result)
         staging.end(result, recorder)
         return result, obs
 

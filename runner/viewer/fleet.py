@@ -74,7 +74,7 @@ class _Batch:
         self._count = -1
 
     def place(self, positions: Array, turns: Array | None = None, colour: Any = None) -> None:
-        seen = np.isfinite(positions).all(axis=1)
+        seen = np.asarray(np.isfinite(positions).all(axis=1))
         count = len(positions)
         where = np.where(seen[:, None], positions, 0.0).astype(np.float32)
         scales = seen.astype(np.float32)
@@ -93,14 +93,13 @@ class _Batch:
             self._count = count
             self._last = (where, turns, scales)
             return
-        for name, value, last in zip(
-            ("batched_positions", "batched_wxyzs", "batched_scales"),
-            (where, turns, scales),
-            self._last,
-            strict=True,
-        ):
-            if not np.array_equal(value, last):
-                setattr(self._handle, name, value)
+        handle, last = self._handle, self._last
+        if not np.array_equal(where, last[0]):
+            handle.batched_positions = where
+        if not np.array_equal(turns, last[1]):
+            handle.batched_wxyzs = turns
+        if not np.array_equal(scales, last[2]):
+            handle.batched_scales = scales
         if colour is not None and not np.array_equal(self._handle.batched_colors, colour):
             self._handle.batched_colors = colour
         self._last = (where, turns, scales)

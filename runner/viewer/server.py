@@ -72,9 +72,9 @@ def look_at(server: Any, low: Array, high: Array) -> None:
     server.initial_camera.up = (0.0, 0.0, 1.0)
     server.initial_camera.look_at = (float(middle[0]), float(middle[1]), 0.4 * float(high[2]))
     server.initial_camera.position = (
-        float(middle[0] - 0.30 * size),
-        float(middle[1] - 0.85 * size),
-        float(0.6 * size + 0.5),
+        float(middle[0] - 0.2 * size),
+        float(middle[1] - 0.68 * size),
+        float(0.42 * size + 0.5),
     )
 
 

@@ -196,6 +196,11 @@ class RemoteSafeguard:
         self._process.listen()
         return self._process.lost or self._process.status.verdict
 
+    @property
+    def ladder(self) -> str:
+        """As told last."""
+        return self._process.status.ladder
+
     def hand_over(self, rule: str) -> None:
         with contextlib.suppress(BackendError):
             self._process.ask("hand_over", rule)
