@@ -94,3 +94,20 @@ class FlightModel:
             place += moving * _STEP
             time += _STEP
         return place
+
+
+@dataclass(frozen=True, slots=True)
+class ModelFacts:
+    """What the vehicle's file and its parameters foretell.
+
+    Attributes
+    ----------
+    name: of the file; flies: how the vehicle follows what it is told.
+    mass, mass_thrust: values of ``ctrlMel.mass`` (kg) and ``ctrlMel.massThrust``, either of which
+        brings it up to its setpoint under Mellinger's controller.
+    """
+
+    name: str
+    flies: FlightModel
+    mass: float
+    mass_thrust: float

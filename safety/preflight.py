@@ -25,7 +25,7 @@ from crazyarena.mocap.survey import misplaced
 from crazyarena.safety.axes import explain_axes
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.fence import Fence
-from crazyarena.safety.flight_model import FlightModel
+from crazyarena.safety.flight_model import ModelFacts
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import CAN_FLY, CRASHED, LOCKED, TUMBLED
 from crazyarena.safety.placement import allowed, nominal_track
@@ -90,23 +90,6 @@ class Tolerances:
     lift: float = 1.1
     test_age: float = 3600.0
     body_age: float = 8 * 3600.0
-
-
-@dataclass(frozen=True, slots=True)
-class ModelFacts:
-    """What the vehicle's file and its parameters foretell.
-
-    Attributes
-    ----------
-    name: of the file; flies: how the vehicle follows what it is told.
-    mass, mass_thrust: values of ``ctrlMel.mass`` (kg) and ``ctrlMel.massThrust``, either of which
-        brings it up to its setpoint under Mellinger's controller.
-    """
-
-    name: str
-    flies: FlightModel
-    mass: float
-    mass_thrust: float
 
 
 @dataclass(slots=True)

@@ -10,9 +10,16 @@ from dataclasses import replace
 import numpy as np
 
 from crazyarena.errors import BackendError
-from crazyarena.safety.flight_model import BRAKING, GRAVITY, MELLINGER, PID, FlightModel, Point
+from crazyarena.safety.flight_model import (
+    BRAKING,
+    GRAVITY,
+    MELLINGER,
+    PID,
+    FlightModel,
+    ModelFacts,
+    Point,
+)
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.preflight import ModelFacts
 from crazyarena.sim_backend.arena_params import PARAM_INDEX
 from crazyarena.sim_backend.vehicles import Vehicle, vehicle_rows
 from crazyarena.sim_backend.vehicles.hover import mellinger_hover, push
