@@ -46,8 +46,8 @@ class Options:
     them or, with ``camera_noise``, as real ones do. ``radio`` puts the vehicles on the air instead
     of UDP ports, on these channels, for programs whose dongles look for it on ``radio_port``.
     ``table`` is whose parameters and log variables they have; by the vehicle if left out. ``fleet``
-    is a vehicle list of Crazyswarm 1 or 2: how many, their numbers and where they stand. ``deck`` is a positioning deck
-    that each carries, see :mod:`crazyarena.sim_backend.decks`.
+    is a vehicle list of Crazyswarm 1 or 2: how many, their numbers and where they stand. ``deck``
+    is a positioning deck that each carries, see :mod:`crazyarena.sim_backend.decks`.
     """
 
     count: int = 1
