@@ -22,8 +22,10 @@ from crazyarena.crazyswarm_compat.checks import check
 from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
 from crazyarena.crazyswarm_compat.guard import FleetGuard, FlightEnded
 from crazyarena.crazyswarm_compat.hardware import PoseFeed, land_flying, start_hardware
+from crazyarena.crazyswarm_compat.link_watch import LinkWatch
 from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.registry import open_backend, open_guard, open_lookout
+from crazyarena.crazyswarm_compat.server_files import LinkLimits
 from crazyarena.errors import BackendError, CommandError
 from crazyarena.types import VehicleContact, VehicleState
 
@@ -225,7 +227,12 @@ class FleetCore:
                 warn(f"setParam: ignored; {error}")
 
     def _start_hardware(
-        self, fleet: FleetConfig, clock: Clock, mocap: str | None, watchdog: bool
+        self,
+        fleet: FleetConfig,
+        clock: Clock,
+        mocap: str | None,
+        watchdog: bool,
+        limits: LinkLimits | None = None,
     ) -> None:
         lookout = None
         if self.guard is None and mocap is not None:
@@ -239,6 +246,11 @@ class FleetCore:
         except BaseException:
             self.close()
             raise
+        if limits is not None:
+            names = {vehicle.id: vehicle.name for vehicle in fleet.vehicles}
+            poses = None if self._feed is None else self._feed.statistics
+            watch = LinkWatch(limits, self._link, names, clock, poses)
+            self._time_helper.while_sleeping(watch.check)
         if self.guard is None:
             # Called before the link is released, as the latest registered.
             atexit.register(_land, weakref.ref(self._link), clock)

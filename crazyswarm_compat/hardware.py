@@ -59,7 +59,8 @@ class PoseFeed:
 
     Attributes
     ----------
-    estimate: ``estimate(name)`` is a body's estimate now.
+    estimate: ``estimate(name)`` is a body's estimate now. statistics: of what each vehicle was
+        sent, by id.
 
     Raises
     ------
@@ -90,6 +91,7 @@ class PoseFeed:
         forwarder = parts["PoseForwarder"](
             names, backend.send_external_poses, clock, rate=rate, threaded=True
         )
+        self.statistics: Callable[[], dict[int, Any]] = forwarder.statistics
         self._pipeline = parts["PosePipeline"](
             source, estimator, clock, forwarder=forwarder, on_frame=on_frame
         )

@@ -80,7 +80,8 @@ class FlowModel:
 
 
 class Lighthouse:
-    """See :class:`LighthouseModel`; errors of the geometry are drawn once."""
+    """See :class:`LighthouseModel`; errors of the geometry are drawn once. ``place`` (3,) m is
+    what was measured last."""
 
     parameters = frozenset({"deck.bcLighthouse4"})
 
@@ -92,6 +93,7 @@ class Lighthouse:
         self._waves = rng.normal(0.0, 1.0 / model.reach, (3, 4, 3))
         self._phases = rng.uniform(0.0, math.tau, (3, 4))
         self._yaw = float(rng.normal(0.0, model.yaw))
+        self.place = np.zeros(3)
 
     def sense(self, pose: Pose, velocity: Array) -> tuple[int, Array]:
         model, rng = self._model, self._rng
@@ -99,6 +101,7 @@ class Lighthouse:
         row = np.empty(7)
         row[:3] = pose.position + model.error * waves / math.sqrt(2.0)
         row[:3] += rng.normal(0.0, model.noise, 3)
+        self.place = row[:3].copy()
         turn = 0.5 * (rng.normal(0.0, model.attitude_noise, 3) + (0.0, 0.0, self._yaw))
         turned = multiply(np.array((*turn, 1.0)), pose.quaternion)
         row[3:] = turned / np.linalg.norm(turned)
@@ -140,6 +143,10 @@ class DeckRack:
     def fit(self, vehicle: int, deck: Deck) -> None:
         """Put a deck onto a vehicle; it feeds the estimator from now on."""
         self._decks[vehicle] = deck
+
+    def on(self, vehicle: int) -> Deck | None:
+        """The deck of a vehicle, if it has one."""
+        return self._decks.get(vehicle)
 
     def fitted(self, vehicle: int, name: str) -> float | None:
         """What a vehicle says of a deck's parameter; None for other parameters, and without a

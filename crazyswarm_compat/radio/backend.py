@@ -459,7 +459,8 @@ def open_radio(fleet: FleetConfig, clock: Clock, options: Any = None) -> RadioBa
     """Backend ``radio`` of :func:`~crazyarena.crazyswarm_compat.registry.open_backend`:
     connects, then writes the firmware parameters of the fleet's configuration."""
     # A script does not listen to events: what can be mended by itself is.
-    chosen = options if isinstance(options, RadioOptions) else RadioOptions(reconnect=True)
+    own = RadioOptions(reconnect=True, parameters="all" if fleet.read_all else "needed")
+    chosen = options if isinstance(options, RadioOptions) else own
     backend = RadioBackend(fleet, clock, chosen)
     try:
         for config in fleet.vehicles:

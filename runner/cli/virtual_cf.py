@@ -76,12 +76,13 @@ def virtual_cf(
         int, typer.Option(help="UDP port on which programs with virtual dongles find the air.")
     ] = 19840,
     table: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="Whose parameters and log variables: cf21 (Crazyflie 2.1 and 2.1+), cf21b "
-            "(2.1 Brushless) or recorded (a simulation build, for replaying its recordings)."
+            "(2.1 Brushless) or recorded (a simulation build, for replaying its recordings). "
+            "Default: by the vehicle."
         ),
-    ] = "cf21",
+    ] = None,
     deck: Annotated[
         str | None,
         typer.Option(
