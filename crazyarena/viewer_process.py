@@ -61,6 +61,11 @@ class View:
             raise
         say(f"Viewer: {self._viewer.url}")
 
+    @property
+    def shown(self) -> bool:
+        """Whether there is a page that people can open."""
+        return self._viewer is not None and self._viewer.running
+
     def await_browser(self) -> None:
         """Let people open the page before something short is shown; not for ever."""
         if self._viewer is None:
@@ -144,8 +149,12 @@ class ViewerProcess:
             self._process.wait(_ENDING)
         if self.running:
             say(f"{self.url} stays until it is closed; Ctrl-C ends it.")
-            with contextlib.suppress(KeyboardInterrupt):
-                self._process.wait()
+        self.stay()
+
+    def stay(self) -> None:
+        """Until the flight is over and the last browser is closed; Ctrl-C ends it."""
+        with contextlib.suppress(KeyboardInterrupt):
+            self._process.wait()
         self.close()
 
     def close(self) -> None:

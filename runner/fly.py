@@ -13,6 +13,7 @@ from crazyarena.mocap.survey import read_track
 from crazyarena.runner.dry_run import DryRun
 from crazyarena.runner.rig.rig import Rig
 from crazyarena.runner.rig.stops import StopOptions
+from crazyarena.runner.trial.asking import ask_operator
 from crazyarena.runner.trial.checklist import FlightChecklist
 from crazyarena.runner.trial.injection import DEFAULT_PREFIX, Injection, ZenohOutlet
 from crazyarena.runner.trial.phase import Grip, Phase
@@ -88,6 +89,7 @@ class Fly(DryRun):
         self._uri = uri
         self._stop_options = stops or StopOptions()
         self._stop_options.check()
+        self._asking: Crew | None = None
 
     def _make_world(self) -> World:
         return TrackedWorld(self._open_rig(self._level, self._limits()))
@@ -113,6 +115,7 @@ class Fly(DryRun):
             checks=(self._checked,),
             anywhere=True,  # that is a line of the checklist
         )
+        self._asking = crew
         self._listen_for_stops(world, crew)
         return crew
 
@@ -145,11 +148,16 @@ class Fly(DryRun):
         guard = world.rig.safeguard
         if guard is not None:
             guard.close_keys()  # they belong to the question now
-        if not self._yes:
-            if not sys.stdin.isatty():
-                raise InputError("fly: nobody can answer here. Pass --yes to start without asking")
-            if not self._console.input(f"{question} [y/N] ").strip().lower().startswith("y"):
-                return False
+        if not self._yes and not ask_operator(
+            question,
+            world.rig.clock,
+            terminal=sys.stdin if sys.stdin.isatty() else None,
+            show=self._show,
+            page=self._view is not None and self._view.shown,
+            say=lambda text: self._console.print(text, end="", markup=False, highlight=False),
+            interrupted=lambda: self._asking is not None and self._asking.interrupted(),
+        ):
+            return False
         keys = self._stop_options.only_keyboard()
         if guard is not None and keys.keyboard:
             for note in guard.open_keys(keys):

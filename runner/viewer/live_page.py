@@ -34,8 +34,8 @@ _LAND_LABEL = "LAND"
 _ARM_LABEL = "Hold to arm"
 # Buttons one can hit without looking for them.
 _LOOKS = """<style>
-button:has(svg.tabler-icon-hand-stop), button:has(svg.tabler-icon-plane-arrival) {
-  height: 3.6em !important; font-size: 1.15em !important; font-weight: 700;
+button[data-block=true][data-with-left-section=true] {
+  height: 3.4em !important; font-size: 1.15em !important; font-weight: 700;
 }
 </style>"""
 

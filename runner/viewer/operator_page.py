@@ -86,26 +86,26 @@ def rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
         add("speed", number(facts.get("speed"), "m/s"))
     if "battery" in facts:
         add("battery", number(facts["battery"], "V"), grade(facts["battery"], _LOW, _EMPTY))
-        quality = facts.get("link")
-        share = None if quality is None else 100.0 * quality
+        share = _scaled(facts.get("link"), 100.0)
         heard = facts.get("heard")
         late = isinstance(heard, int | float) and heard > 0.5
         add(
             "link",
-            f"{number(share, '%', 0)}, last heard {number(_ms(heard), 'ms', 0)} ago",
+            f"{number(share, '%', 0)}, last heard {number(_scaled(heard, 1000.0), 'ms', 0)} ago",
             BAD if late else grade(share, 80.0, 50.0),
         )
-        words = facts.get("supervisor") or ["–"]
+        told = facts.get("supervisor")
+        words = list(map(str, told)) if isinstance(told, list) and told else ["–"]
         bad = {"locked", "crashed", "tumbled"} & set(words)
-        add("supervisor", ", ".join(map(str, words)), BAD if bad else None)
+        add("supervisor", ", ".join(words), BAD if bad else None)
     cameras = facts.get("cameras")
     if isinstance(cameras, Mapping):
         age = cameras.get("age")
         old = isinstance(age, int | float) and age > 0.1
         add(
             "cameras",
-            f"{number(cameras.get('rate'), 'Hz', 0)}, frame {number(_ms(age), 'ms', 0)} old, "
-            f"{cameras.get('bodies', 0)} bodies",
+            f"{number(cameras.get('rate'), 'Hz', 0)}, frame "
+            f"{number(_scaled(age, 1000.0), 'ms', 0)} old, {cameras.get('bodies', 0)} bodies",
             BAD if old else None,
         )
     if "ladder" in facts:
@@ -119,8 +119,8 @@ def rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
     return found
 
 
-def _ms(seconds: Any) -> Any:
-    return 1000.0 * seconds if isinstance(seconds, int | float) else None
+def _scaled(value: Any, factor: float) -> float | None:
+    return factor * value if isinstance(value, int | float) else None
 
 
 def checklist(lines: Iterable[Any]) -> str:
