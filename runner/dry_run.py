@@ -18,6 +18,7 @@ from crazyarena.levels.schema import Level, Profile
 from crazyarena.plain_text import shown, shown_line
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.in_process import InProcess
+from crazyarena.runner.contestant.shipped import example_racer
 from crazyarena.runner.contestant.submission import Submission, entry_file
 from crazyarena.runner.judging.result import EpisodeResult, TrialResult
 from crazyarena.runner.records.outcome_table import remarks, score_line, table
@@ -45,16 +46,6 @@ if TYPE_CHECKING:
     from crazyarena.sim_backend.vehicles import Vehicle, VehicleChoice, VehicleSupply
 
     Track = Draw | MeasuredTrack
-
-
-def example_racer() -> Path:
-    """Folder of the example that comes along; raises InputError if it did not."""
-    package = Path(__file__).resolve().parent
-    for root in (package.parent, package.parent / "crazyarena"):
-        folder = root / "examples" / "racer"
-        if folder.is_dir():
-            return folder
-    raise InputError("the example racer is not part of this installation. Pass a submission")
 
 
 def make_world(

@@ -51,21 +51,12 @@ _ENDS_RENEWED = (INTERRUPTED, ABORTED)
 _FAILED = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT)
 
 
-def require_firmware(level: Level) -> None:
-    """Raise InputError for a level that asks for the mode without firmware."""
-    if not level.use_firmware:
-        raise InputError(
-            f"level {level.name}: use_firmware is false; only firmware mode (cmdFirmware) "
-            "can be flown. Set use_firmware: true"
-        )
-
-
 class Trial:
     """Flies ``episodes`` episodes of a level with one contestant.
 
     Parameters
     ----------
-    level: with ``use_firmware`` (the contestant's ``cmdSimOnly`` has no counterpart here).
+    level: what is flown.
     contestant: loaded; the caller closes it.
     world: not reset yet; the caller closes it.
     staging: what surrounds a run; nothing by default.
@@ -96,7 +87,6 @@ class Trial:
         wall: Clock | None = None,
         show: Showing | None = None,
     ) -> None:
-        require_firmware(level)
         self._level = level
         self._contestant = contestant
         self._world = world
