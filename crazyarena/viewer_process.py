@@ -67,8 +67,8 @@ class View:
         return self._viewer is not None and self._viewer.running
 
     def await_browser(self) -> None:
-        """Let people open the page before something short is shown; not for ever."""
-        if self._viewer is None:
+        """Let people, if there are any, open the page before something short is shown."""
+        if self._viewer is None or not sys.stdout.isatty():
             return
         self._say(f"Open it now: the flight begins then, or in {_OPENING:g} s.")
         clock = WallClock()

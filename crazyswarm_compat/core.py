@@ -197,6 +197,12 @@ class FleetCore:
         self._time_helper = timeHelper
         self.crazyflies = list(vehicles)
         self.crazyfliesById = VehiclesById((cf.id, cf) for cf in self.crazyflies)
+        timeHelper.visualizer.follow(link, guard)
+        if timeHelper.visualizer.in_wall_time:
+            # Where time passes by itself, nobody else tells it to draw.
+            timeHelper.while_sleeping(
+                lambda: timeHelper.visualizer.update(timeHelper.time(), self.crazyflies)
+            )
         # A script has no call that ends a fleet, and may keep only one of its vehicles: the
         # link is released at exit, unless it has gone before. A guard stays to the end.
         report = getattr(link, "script_report", None)

@@ -59,7 +59,7 @@ from crazyarena.crazyswarm_compat.timehelper import (
     WallTimeHelper,
     make_time_helper,
 )
-from crazyarena.crazyswarm_compat.visualizers import open_visualizer
+from crazyarena.crazyswarm_compat.visualizers import VisViser, open_visualizer
 from crazyarena.errors import BackendError, InputError
 
 # Where a checkout of Crazyswarm2 keeps the vehicle list, seen from a script or its folder.
@@ -298,7 +298,9 @@ class Crazyswarm:
             if parsed.writecsv or parsed.video:
                 atexit.register(self.timeHelper.close)
         else:
-            self.timeHelper = WallTimeHelper(WallClock())
+            # Of viewers, only this one draws elsewhere than where the script flies.
+            vis = VisViser(pace=0.0) if parsed.vis == "viser" else None
+            self.timeHelper = WallTimeHelper(WallClock(), vis)
         self.allcfs = CrazyflieServer(
             self.timeHelper,
             with_uris(fleet, parsed.uri),

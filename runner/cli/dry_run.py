@@ -96,7 +96,7 @@ def dry_run(
             if show(submission, level or "sim2real", set_ or [], seed, out, options, vehicle):
                 return
             raise typer.Exit(EXIT_NOT_CLEAN)
-        if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options):
+        if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options, view()):
             return
         from crazyarena.runner.dry_run import DryRun
 
@@ -129,6 +129,7 @@ def _flew_lsy(
     overrides: list[str],
     record: bool,
     options: FlightOptions,
+    view: ViewOptions | None,
 ) -> bool:
     """Fly a controller of lsy_drone_racing, told by its file; False if this is none."""
     looks_like = submission is not None or (level or "").endswith(".toml")
@@ -154,6 +155,11 @@ def _flew_lsy(
         raise InputError(
             f"level {level}: pass the file of a lsy_drone_racing controller, such as "
             "examples/racer_state/racer_state.py"
+        )
+    if view is not None:
+        raise InputError(
+            "--view: flights of lsy_drone_racing are not shown live; leave it out, and then: "
+            "crazyarena replay with the results folder"
         )
     if options.secret:
         raise InputError(

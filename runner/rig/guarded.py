@@ -144,6 +144,11 @@ class GuardedFleet:
         options = GuardOptions.parse(text)
         arena, level = load_arena(options.arena)
         self.fence = Fence.from_arena(arena, level)
+        self.scene = {
+            "title": options.arena,
+            "arena": arena.model_dump(mode="json", exclude_none=True),
+        }
+        """What of it a viewer can show, as plain data."""
         self._names = {vehicle.id: vehicle.name for vehicle in fleet.vehicles}
         _check_starts(fleet, self.fence, options.arena)
         self._link = link

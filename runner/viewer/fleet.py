@@ -132,6 +132,9 @@ class Fleet:
             batched_colors=_STOP,
             opacity=0.6,
         )
+        self._shells: _Batch | None = None
+        self._radii: tuple[float, ...] = ()
+        self._links: Any = None
         self._ways: Any = None
         self._paths: Any = None
 
@@ -154,6 +157,37 @@ class Fleet:
         ways = np.stack([positions, stops], axis=1)
         known = np.asarray(np.isfinite(ways).all(axis=(1, 2)))
         self._show_ways(ways[known])
+
+    def drawn(self, positions: Array, edges: Any, radii: Any) -> None:
+        """What a script draws: lines between vehicles by index, ellipsoids (3,) m around them."""
+        ends = []
+        for edge in edges if isinstance(edges, list) else ():
+            if isinstance(edge, list) and len(edge) == 2:
+                a, b = edge
+                if isinstance(a, int) and isinstance(b, int) and max(a, b) < len(positions):
+                    ends.append(positions[[a, b]])
+        if self._links is not None:
+            self._links.remove()
+            self._links = None
+        if ends:
+            self._links = self._scene.add_line_segments(
+                "/drawn/graph", np.array(ends), _NOSE, thickness=1.5, thickness_units="screen"
+            )
+        size = tuple(float(r) for r in radii) if isinstance(radii, list) else ()
+        if len(size) != 3 or not np.isfinite(size).all():
+            size = ()
+        if size != self._radii:
+            self._radii = size
+            if self._shells is not None:
+                self._shells.place(np.full((len(positions), 3), np.nan))
+            self._shells = None
+            if size:
+                shell = ball([2.0 * radius for radius in size])
+                self._shells = _Batch(
+                    self._scene, "/drawn/ellipsoids", shell, batched_colors=_SETPOINT, opacity=0.15
+                )
+        if self._shells is not None:
+            self._shells.place(positions)
 
     def _show_ways(self, ways: Array) -> None:
         if self._ways is None:

@@ -62,6 +62,7 @@ class LivePage:
         self._news = self._clock.now()
         self._told = self._drawn = -math.inf
         self._state: State | None = None
+        self._drew = False
         self._control = False
         self._question = ""
         self._confirmed: str | None = None
@@ -171,6 +172,12 @@ class LivePage:
             rows[:, SETPOINT : SETPOINT + 3] if self._show_setpoints.value else nowhere,
             rows[:, STOP : STOP + 3] if self._show_stops.value else nowhere,
         )
+
+        facts = state.facts
+        if facts.get("edges") or facts.get("ellipsoid") or self._drew:
+            self._drew = bool(facts.get("edges") or facts.get("ellipsoid"))
+            spots = rows[:, POSITION : POSITION + 3]
+            self._fleet.drawn(spots, facts.get("edges"), facts.get("ellipsoid"))
 
     def _show_ways(self) -> None:
         version = (*self._watched.path_version(), bool(self._show_paths.value))
