@@ -156,7 +156,8 @@ def start_hardware(
     """Feed poses from ``mocap`` and prepare the vehicles; None leaves both to somebody else.
 
     ``watchdog`` arms the onboard emergency-stop watchdog, fed until the link is closed; a
-    ``guard`` arms and feeds it by itself, and gets all poses first. A ``lookout`` sees every frame.
+    ``guard`` arms and feeds it by itself, and gets all poses first. A ``lookout`` sees every frame
+    and passes on the poses.
 
     Raises
     ------
@@ -174,7 +175,7 @@ def start_hardware(
         )
         return None
     listeners = tuple(who.on_frame for who in (guard, lookout) if who is not None)
-    feed = PoseFeed(mocap, fleet, guard or backend, clock, on_frame=listeners)
+    feed = PoseFeed(mocap, fleet, guard or lookout or backend, clock, on_frame=listeners)
     prepare = getattr(backend, "prepare", None)
     try:
         if guard is not None:

@@ -82,6 +82,8 @@ class CommandGate:
         self.passed = self.changed = self.refused = self.poses_dropped = 0
         self.grounded: Callable[[], str | None] | None = None
         """Why nothing may take off now, in words, or None; asked at every take-off."""
+        self.nudged: Callable[[int, Pose], Pose] = lambda vehicle, pose: pose
+        """What a vehicle is told in place of a pose (safety/nudge.py)."""
         self.runner = GatePort(self, trusted=False)
         self.safety = GatePort(self, trusted=True)
 
@@ -111,7 +113,7 @@ class CommandGate:
         good = {}
         for vehicle, pose in poses.items():
             if self._believable(vehicle, pose):
-                good[vehicle] = pose
+                good[vehicle] = self.nudged(vehicle, pose)
             else:
                 self.poses_dropped += 1
         if good:
