@@ -161,8 +161,13 @@ class CommandGate:
             self._vehicles = {vehicle: VehicleMemory(vehicle) for vehicle in self.vehicles}
 
     def take(self, vehicle: int) -> None:
-        """The watchdog has this vehicle; the runner's commands to it are refused."""
-        self._vehicles[vehicle].taken = True
+        """The watchdog has this vehicle; the runner's commands to it are refused, and nothing on
+        board moves the setpoints of the watchdog: a box that ends above the ground keeps a vehicle
+        from landing, and throws it about when it is sent below."""
+        memory = self._vehicles[vehicle]
+        memory.taken = True
+        if memory.avoiding:
+            self._backend.send(c.CollisionAvoidance(False), vehicle)
 
     def flying_since(self, vehicle: int) -> float | None:
         """When the runner first sent something that makes the vehicle fly, s; None before, and

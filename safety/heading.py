@@ -77,8 +77,8 @@ class Turned:
         degrees = math.degrees(self.angle)
         return (
             f"the body is turned by {degrees:+.0f} deg against the vehicle (to within "
-            f"{2.0 * math.degrees(self.sigma):.0f} deg): turn its axes by {-degrees:+.0f} deg about "
-            "z in the motion-capture software"
+            f"{2.0 * math.degrees(self.sigma):.0f} deg): turn its axes by {-degrees:+.0f} deg "
+            "about z in the motion-capture software"
         )
 
     @property
