@@ -16,7 +16,7 @@ from crazyarena.errors import InputError
 from crazyarena.levels import load_level
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level, Profile
-from crazyarena.plain_text import shown, shown_line
+from crazyarena.plain_text import file_name, shown, shown_line
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.in_process import InProcess
 from crazyarena.runner.contestant.submission import Submission, entry_file
@@ -79,7 +79,7 @@ def results_folder(out: Path | None, submission: Path, level: str) -> Path:
     if out is None:
         stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
         stem = submission.stem if submission.suffix == ".py" else submission.name
-        base = Path("runs") / f"{stamp}-{stem}-{level}"
+        base = Path("runs") / f"{stamp}-{file_name(stem)}-{level}"
         out, count = base, 1
         while out.exists():
             count += 1

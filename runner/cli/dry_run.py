@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.cli.common import (
     EXIT_NOT_CLEAN,
     Secret,
@@ -145,6 +146,11 @@ def _flew_lsy(
             "--secret: levels of lsy_drone_racing draw from 31 bits; use --sandbox "
             "--set env.seed=-1"
         )
+    if options.budget != type(options.budget)():
+        raise InputError(
+            "--step-limit, --episode-limit, --trial-limit: levels of lsy_drone_racing have none of "
+            "them; leave them out"
+        )
     if options.compute not in (None, "free"):
         raise InputError(
             f"--compute {options.compute}: in lsy_drone_racing's simulation thinking costs no "
@@ -173,7 +179,10 @@ def _flew_lsy(
     tell(result, console)
     if not run.isolated:
         console.print(NOT_ISOLATED, markup=False, highlight=False, soft_wrap=True)
-    console.print(f"Seed {result.seed}. Results in {run.out}", highlight=False, soft_wrap=True)
+    where = shown_line(str(run.out))
+    console.print(
+        f"Seed {result.seed}. Results in {where}", highlight=False, markup=False, soft_wrap=True
+    )
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)
     return True
