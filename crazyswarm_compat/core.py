@@ -243,7 +243,7 @@ class FleetCore:
         lookout = None
         if self.guard is None and mocap is not None:
             bodies = {vehicle.name: vehicle.id for vehicle in fleet.vehicles}
-            lookout = open_lookout(self._link, bodies)
+            lookout = open_lookout(self._link, bodies, clock)
             self._time_helper.while_sleeping(lookout.check)
         try:
             self._feed = start_hardware(
@@ -257,8 +257,13 @@ class FleetCore:
             poses = None if self._feed is None else self._feed.statistics
             watch = LinkWatch(limits, self._link, names, clock, poses)
             self._time_helper.while_sleeping(watch.check)
-        if self.guard is None:
-            # Called before the link is released, as the latest registered.
+        # Threads that are inside C++ when the interpreter ends abort it. The latest registered is
+        # called first: what flies is landed, with poses, then they end, then the link goes.
+        if self._feed is not None:
+            atexit.register(self._feed.close)
+        if self.guard is not None:
+            atexit.register(self.guard.finish)
+        else:
             atexit.register(_land, weakref.ref(self._link), clock)
 
     @property
@@ -272,9 +277,11 @@ class FleetCore:
     def close(self) -> None:
         """Release the link; a guarded fleet is landed first. Idempotent."""
         if self.guard is not None:
+            atexit.unregister(self.guard.finish)
             atexit.unregister(self.guard.close)
             self.guard.finish()
         if self._feed is not None:
+            atexit.unregister(self._feed.close)
             self._feed.close()
         if self._report is not None:
             atexit.unregister(self._report.exit)

@@ -171,7 +171,8 @@ def start_hardware(
 
     ``onboard`` instead of a source: they have decks that tell them where they are; nobody watches.
     ``watchdog`` arms the onboard emergency-stop watchdog, fed until the link is closed; a
-    ``guard`` arms and feeds it by itself, and gets all poses first. A ``lookout`` sees every frame.
+    ``guard`` arms and feeds it by itself, and gets all poses first. A ``lookout`` sees every frame
+    and passes on the poses.
 
     Raises
     ------
@@ -197,7 +198,7 @@ def start_hardware(
         _prepare(fleet, backend, getattr(backend, "prepare_onboard", None), watchdog)
         return None
     listeners = tuple(who.on_frame for who in (guard, lookout) if who is not None)
-    feed = PoseFeed(mocap, fleet, guard or backend, clock, on_frame=listeners)
+    feed = PoseFeed(mocap, fleet, guard or lookout or backend, clock, on_frame=listeners)
     try:
         if guard is not None:
             guard.watch(feed.estimate)

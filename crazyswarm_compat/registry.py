@@ -155,10 +155,10 @@ def open_guard(
     return factory(arena, fleet, link, clock, options)
 
 
-def open_lookout(link: Backend, bodies: Mapping[str, int]) -> Any:
+def open_lookout(link: Backend, bodies: Mapping[str, int], clock: Clock) -> Any:
     """Watch whether the cameras' headings are the vehicles' (``bodies``: vehicle id by name)."""
     module, function = LOOKOUT.split(":")
-    return getattr(importlib.import_module(module), function)(link, bodies)
+    return getattr(importlib.import_module(module), function)(link, bodies, clock)
 
 
 def pose_parts() -> dict[str, Any]:

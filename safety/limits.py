@@ -45,9 +45,12 @@ class Limits:
     controller_warn, controller_hold: s since the contestant's last answer; setpoints that stay
         away longer than 0.5 s would make the firmware level out.
     late_warn, late_hold: lateness of a control step, s.
-    turn_warn: rad that a rigid body may be turned against its vehicle (safety/heading.py).
+    turn_warn: rad that a rigid body may be turned against its vehicle (safety/heading.py), for
+        turn_time s.
     turn_cut: the same at which motors are cut: hold and land need the heading.
     yaw_warn, yaw_cut: rad by which cameras and gyroscope may come apart in yaw.
+    nudge: m, by which a vehicle that takes off is moved to and fro, to see how its body is turned
+        (safety/nudge.py); 0 for not at all.
     clock_step: s, between two clocks that should run alike.
     neighbour_warn, neighbour_hold: m between the centres of two vehicles in the air.
     people_distance: m between a vehicle and a person, horizontally, at which motors are cut.
@@ -109,9 +112,11 @@ class Limits:
     late_warn: float = 0.03
     late_hold: float = 0.25
     turn_warn: float = 0.26
+    turn_time: float = 0.3
     turn_cut: float = 0.52
     yaw_warn: float = 0.25
     yaw_cut: float = 0.5
+    nudge: float = 0.04
     clock_step: float = 0.05
     neighbour_warn: float = 0.3
     neighbour_hold: float = 0.2
@@ -142,7 +147,8 @@ class Limits:
             if isinstance(value, bool):
                 continue
             endless = name == "link_loss_margin" and value == math.inf
-            if not (endless or (math.isfinite(value) and value > 0.0)):
+            none = name == "nudge" and value == 0.0
+            if not (endless or none or (math.isfinite(value) and value > 0.0)):
                 raise InputError(f"safety limit {name}: found {value!r}; need a number > 0")
         self._ordered("pose_warn", "pose_hold", "pose_land", "pose_cut")
         self._ordered("link_warn", "link_hold", "link_cut")

@@ -27,7 +27,6 @@ from crazyarena.safety.fence import Fence
 from crazyarena.safety.frame_rate import FrameRate
 from crazyarena.safety.gate import CommandGate
 from crazyarena.safety.guard import Guard
-from crazyarena.safety.heading import HeadingWatch
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import Finding
@@ -35,15 +34,14 @@ from crazyarena.safety.neighbours import nearest
 from crazyarena.safety.observation import Observation, Point, as_point
 from crazyarena.safety.old_poses import repeats
 from crazyarena.safety.own_estimate import not_watched
-from crazyarena.safety.pairing import Pairing
 from crazyarena.safety.priority import raise_priority
+from crazyarena.safety.take_off import TakeOffCheck
 from crazyarena.types import Pose, PoseFrame, Telemetry
 
 _TICK = 0.005  # s, without a frame
 _FEED_PERIOD = 0.1  # s
 _TELEMETRY_GOOD = 0.3  # s, for the vehicle's own estimate
 _OFF_GROUND = 0.08  # m
-_LIFTED = 0.02  # m
 _DOWN_TIME = 1.0  # s, low and still, until a vehicle counts as standing
 _SWITCH_INTERVAL = 0.0005  # s, for which another Python thread may keep this one waiting
 
@@ -58,6 +56,7 @@ class _Watched:
     body: str
     guard: Guard
     ground: float
+    heading: TakeOffCheck
     airborne: bool = False
     still: Lasting = field(default_factory=Lasting)
     low: bool = False
@@ -71,8 +70,6 @@ class _Watched:
     last_pose: Pose | None = None
     changed: float = math.inf
     latest: Observation | None = None
-    heading: HeadingWatch = field(default_factory=HeadingWatch)
-    pairing: Pairing = field(default_factory=Pairing)
 
     def changes(self, pose: Pose, captured: float) -> None:
         """Note a measured pose; ``changed`` is when it last was another than the one before.
@@ -155,6 +152,7 @@ class Watchdog:
         self._lock = threading.Lock()
         self.renew()
         gate.grounded = self._grounded
+        gate.nudged = self._nudged
         self._wake = threading.Condition(threading.Lock())
         self._pending = False
         self._closed = False
@@ -173,6 +171,7 @@ class Watchdog:
                     body,
                     Guard(self._fence, self.limits, vehicle, self._grounds[vehicle], self._flies),
                     self._grounds[vehicle],
+                    TakeOffCheck(self.limits.nudge),
                 )
                 for body, vehicle in self._bodies.items()
             }
@@ -230,15 +229,16 @@ class Watchdog:
         """What a believed pose and the gyroscope say of each other, while the vehicle flies."""
         told = self._gate.telemetry(watched.vehicle)
         if self._gate.flying_since(watched.vehicle) is None or told.state is None:
-            watched.heading.reset()
-            watched.pairing.reset()
-            return
-        # On the ground a vehicle is pushed by what it stands on.
-        if pose.position[2] > watched.ground + _LIFTED:
-            x, y, z, w = pose.quaternion.tolist()
-            watched.pairing.pose(captured, as_point(pose.position), (x, y, z, w))
-        for sample in watched.pairing.told(told):
-            watched.heading.update(*sample)
+            watched.heading.stands()
+        else:
+            watched.heading.flies(captured, pose, pose.position[2] - watched.ground, told)
+
+    def _nudged(self, vehicle: int, pose: Pose) -> Pose:
+        watched = self._by_vehicle.get(vehicle)
+        if watched is None or not self._independent:
+            return pose
+        allowed = not watched.guard.action.takes_over
+        return watched.heading.nudged(pose, self._clock.now(), allowed)
 
     def _grounded(self) -> str | None:
         """What keeps vehicles from taking off, in words."""
@@ -371,7 +371,7 @@ class Watchdog:
             if watched.doubted_since is not None:
                 obs.doubted = max(now - watched.doubted_since, 1e-6)
             obs.swapped = watched.swapped
-            obs.turned = watched.heading.now if self._independent else None
+            obs.turned = watched.heading.turned if self._independent else None
             watched.swapped = False
             obs.clock_error = self._cameras.error
             obs.camera_rate = self._frames.rate

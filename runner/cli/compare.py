@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.cli.common import bad_input_exits
 from crazyarena.whole_file import write_whole
 
@@ -66,4 +67,5 @@ def compare(
 
 
 def _name(group: list[Path]) -> str:
-    return group[0].name if len(group) == 1 else f"{group[0].name} ..."
+    name = shown_line(group[0].name)
+    return name if len(group) == 1 else f"{name} ..."

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.cli.common import (
     EXIT_NOT_CLEAN,
     Secret,
@@ -166,6 +167,11 @@ def _flew_lsy(
             "--secret: levels of lsy_drone_racing draw from 31 bits; use --sandbox "
             "--set env.seed=-1"
         )
+    if options.budget != type(options.budget)():
+        raise InputError(
+            "--step-limit, --episode-limit, --trial-limit: levels of lsy_drone_racing have none of "
+            "them; leave them out"
+        )
     if options.compute not in (None, "free"):
         raise InputError(
             f"--compute {options.compute}: in lsy_drone_racing's simulation thinking costs no "
@@ -194,7 +200,10 @@ def _flew_lsy(
     tell(result, console)
     if not run.isolated:
         console.print(NOT_ISOLATED, markup=False, highlight=False, soft_wrap=True)
-    console.print(f"Seed {result.seed}. Results in {run.out}", highlight=False, soft_wrap=True)
+    where = shown_line(str(run.out))
+    console.print(
+        f"Seed {result.seed}. Results in {where}", highlight=False, markup=False, soft_wrap=True
+    )
     if result.cut_short is not None:
         raise StorageError(result.cut_short)
     if not result.clean:

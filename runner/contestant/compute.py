@@ -7,6 +7,7 @@ once (``free``); the last two make a dry run repeatable to the bit.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import Protocol
@@ -29,6 +30,13 @@ class Budget:
     step: float = 30.0
     episode: float = 600.0
     trial: float = 3600.0
+
+    def check(self) -> None:
+        """Raise InputError for limits of no time."""
+        for name in ("step", "episode", "trial"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise InputError(f"--{name}-limit: found {value}; need seconds above 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,16 +68,18 @@ class Compute:
         return text if self.factor == 1.0 else f"{text} x {self.factor:g}"
 
 
-def parse_compute(text: str, factor: float = 1.0) -> Compute:
+def parse_compute(text: str, factor: float = 1.0, budget: Budget | None = None) -> Compute:
     """Read ``measured``, ``free`` or ``fixed=MS``; raises InputError for anything else."""
     if not 0.0 < factor <= 1000.0:
         raise InputError(f"compute factor: found {factor}; need a number above 0 (up to 1000)")
+    budget = budget or Budget()
+    budget.check()
     if text in (MEASURED, FREE):
-        return Compute(text, factor=factor)
+        return Compute(text, factor=factor, budget=budget)
     match = re.fullmatch(r"fixed=([0-9]*\.?[0-9]+)(ms)?", text)
     if match is None or float(match[1]) > 10_000.0:
         raise InputError(f"compute: found {text!r}; write measured, free or fixed=MS (fixed=5)")
-    return Compute(FIXED, float(match[1]) * 1e-3, factor)
+    return Compute(FIXED, float(match[1]) * 1e-3, factor, budget)
 
 
 class Waiter(Protocol):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from crazyarena.errors import InputError, StorageError
-from crazyarena.plain_text import shown_in
+from crazyarena.plain_text import file_name, shown_in
 from crazyarena.whole_file import write_whole
 
 _RESULT = "result.json"
@@ -34,7 +34,7 @@ def run_folder(out: Path | None, submission: Path, level: str) -> Path:
             return out.resolve()
         stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
         stem = submission.stem if submission.suffix == ".py" else submission.name
-        base = Path("runs") / f"{stamp}-{stem}-{level}"
+        base = Path("runs") / f"{stamp}-{file_name(stem)}-{level}"
         base.parent.mkdir(parents=True, exist_ok=True)
         out, count = base, 1
         while True:

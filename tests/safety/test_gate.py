@@ -572,6 +572,16 @@ def test_avoidance_on_board_is_kept_inside_the_fence():
     assert rig.send(off) is off
 
 
+def test_avoidance_on_board_ends_when_the_watchdog_takes_over():
+    rig = Rig()
+    rig.gate.take(1)
+    assert rig.sink.sent == []
+    rig = Rig()
+    rig.send(c.CollisionAvoidance(True, bbox_min=(-2.0, -2.0, 0.9)))
+    rig.gate.take(1)
+    assert rig.sink.sent[-1] == (c.CollisionAvoidance(False), 1)
+
+
 def test_budget_is_enforced_and_never_on_a_stop():
     rig = Rig()
     n = rig.gate.limits
