@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -15,9 +16,11 @@ from crazyarena.errors import CrazyarenaError, InputError
 from crazyarena.runner.cli.common import bad_input_exits
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.vehicle import vehicle_choice
+from crazyarena.runner.cli.options.view import view_options
 
 if TYPE_CHECKING:
     from crazyarena.sim_backend.vehicles import VehicleChoice
+    from crazyarena.viewer_process import ViewOptions
 
 _PROFILES = ("arena",)
 
@@ -26,7 +29,7 @@ def register(app: typer.Typer) -> None:
     app.command("virtual-cf")(virtual_cf)
 
 
-@takes(vehicle=vehicle_choice)
+@takes(vehicle=vehicle_choice, view=view_options)
 def virtual_cf(
     count: Annotated[int, typer.Option(help="How many vehicles.")] = 1,
     port: Annotated[int, typer.Option(help="UDP port of the first; 0 takes free ones.")] = 19850,
@@ -96,6 +99,7 @@ def virtual_cf(
             metavar="YAML", help="Vehicle list of Crazyswarm: how many, their numbers and places."
         ),
     ] = None,
+    view: Callable[[], ViewOptions | None],
 ) -> None:
     """Run simulated Crazyflies in wall time, each on its own UDP port or on the air.
 
@@ -116,6 +120,7 @@ def virtual_cf(
         from crazyarena.sim_backend.crtp.orders import status
 
         compile_missing(["arena"], Console(stderr=True))
+        viewer = view()
         running = build(
             Options(
                 count=count,
@@ -143,7 +148,18 @@ def virtual_cf(
                 fleet=fleet,
             )
         )
-    server = running.server
+        server = running.server
+        shown = None
+        if viewer is not None:
+            from crazyarena.runner.viewer.virtual_fleet import ShownFleet
+
+            try:
+                shown = ShownFleet(
+                    server.swarm.fleet, level, viewer, lambda text: typer.echo(text, err=True)
+                )
+            except BaseException:
+                running.close()
+                raise
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: server.stop())
     for uri in server.uris:
@@ -158,6 +174,8 @@ def virtual_cf(
         for line in status(server):
             typer.echo(line, err=True)
     finally:
+        if shown is not None:
+            shown.close()
         running.close()
 
 

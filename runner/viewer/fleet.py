@@ -65,6 +65,13 @@ def wxyz(quaternions: Array) -> Array:
     return turned
 
 
+def _linear(shades: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """sRGB colours 0..255 as the browser takes those of single points: linear in light."""
+    share = shades.astype(np.float64) / 255.0
+    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return np.round(255.0 * light).astype(np.uint8)
+
+
 class _Batch:
     """As many copies of one mesh as there are places; those at NaN are not seen."""
 
@@ -148,7 +155,8 @@ class Fleet:
     ) -> None:
         """Positions (n, 3) m and attitudes (n, 4) x, y, z, w; further (n, 3) m, NaN for none."""
         turns = wxyz(quaternions)
-        self._bodies.place(positions, turns, colours(len(positions)) if colour is None else colour)
+        own = colours(len(positions)) if colour is None else colour
+        self._bodies.place(positions, turns, _linear(own))
         self._noses.place(positions, turns)
         nowhere = np.full_like(positions, np.nan)
         self._setpoints.place(nowhere if setpoints is None else setpoints)
@@ -222,7 +230,7 @@ class Fleet:
             self._paths = self._scene.add_line_segments(
                 "/paths",
                 segments,
-                np.ascontiguousarray(shades),
+                _linear(shades),
                 thickness=2.5,
                 thickness_units="screen",
             )

@@ -17,7 +17,7 @@ from crazyarena.live import COLOUR, POSITION, QUATERNION, SETPOINT, STOP, State,
 from crazyarena.plain_text import shown_line
 from crazyarena.runner.viewer.fleet import Fleet, colours
 from crazyarena.runner.viewer.operator_page import page
-from crazyarena.runner.viewer.server import Rights, connection_of, look_at
+from crazyarena.runner.viewer.server import Rights, connection_of, go_to, look_at
 from crazyarena.runner.viewer.stage import Stage
 from crazyarena.safety.estop_local import LANDING, STOPPED, stop_local
 
@@ -84,6 +84,12 @@ class LivePage:
         self._show_paths = self._server.gui.add_checkbox("path flown", True)
         self._show_setpoints = self._server.gui.add_checkbox("setpoints", True)
         self._show_stops = self._server.gui.add_checkbox("predicted stop", True)
+        near = self._server.gui.add_button("Go to the vehicle", color="gray")
+
+        @near.on_click
+        def _(event: Any) -> None:
+            if self._state is not None:
+                go_to(event.client, self._state.rows[0, POSITION : POSITION + 3])
 
     # Browsers
 

@@ -86,15 +86,16 @@ def rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
         add("speed", number(facts.get("speed"), "m/s"))
     if "battery" in facts:
         add("battery", number(facts["battery"], "V"), grade(facts["battery"], _LOW, _EMPTY))
-        share = _scaled(facts.get("link"), 100.0)
-        heard = facts.get("heard")
+    if "link" in facts:
+        share, heard = _scaled(facts["link"], 100.0), facts.get("heard")
         late = isinstance(heard, int | float) and heard > 0.5
         add(
             "link",
             f"{number(share, '%', 0)}, last heard {number(_scaled(heard, 1000.0), 'ms', 0)} ago",
             BAD if late else grade(share, 80.0, 50.0),
         )
-        told = facts.get("supervisor")
+    if "supervisor" in facts:
+        told = facts["supervisor"]
         words = list(map(str, told)) if isinstance(told, list) and told else ["–"]
         bad = {"locked", "crashed", "tumbled"} & set(words)
         add("supervisor", ", ".join(words), BAD if bad else None)

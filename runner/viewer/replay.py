@@ -13,7 +13,7 @@ from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
 from crazyarena.runner.viewer.fleet import Fleet, colours
 from crazyarena.runner.viewer.recorded import Flight
-from crazyarena.runner.viewer.server import look_at
+from crazyarena.runner.viewer.server import go_to, look_at
 from crazyarena.runner.viewer.stage import Stage
 
 Array = NDArray[np.float64]
@@ -93,6 +93,7 @@ class Replay:
         self._choice = gui.add_dropdown("told of", names) if len(names) > 1 else None
         events = self._marks()
         self._jump = gui.add_dropdown("go to", list(events)) if events else None
+        near = gui.add_button("Go to the vehicle", icon="zoom-in", color="gray")
         self._facts = gui.add_html("")
 
         @self._slider.on_update
@@ -103,6 +104,10 @@ class Replay:
         @self._button.on_click
         def _(event: Any) -> None:
             self.play(not self.playing)
+
+        @near.on_click
+        def _(event: Any) -> None:
+            go_to(event.client, flight_at(self._flights[self._which()], self.time)[0])
 
         @self._speed.on_update
         def _(event: Any) -> None:
@@ -153,6 +158,8 @@ class Replay:
     def seek(self, time: float) -> None:
         """Go to a time, s."""
         self.time = min(self.end, max(self.begin, time))
+        if abs(self._slider.value - self.time) > 0.005:
+            self._slider.value = round(self.time, 2)
 
     def run(self, stop: Any) -> None:
         """Show until ``stop`` (a threading.Event) is set."""
@@ -173,9 +180,13 @@ class Replay:
             self.show()
             clock.sleep_until(now + 1.0 / RATE)
 
+    def _which(self) -> int:
+        """Number of the flight that is told of."""
+        return 0 if self._choice is None else int(self._choice.value.partition(":")[0]) - 1
+
     def show(self) -> None:
         """Show what there is at the present time."""
-        which = 0 if self._choice is None else int(self._choice.value.partition(":")[0]) - 1
+        which = self._which()
         now = (round(self.time, 4), which)
         if now == self._shown:
             return
