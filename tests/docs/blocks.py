@@ -17,13 +17,15 @@ _OPTION = re.compile(r"""(\w+)=(?:"([^"]*)"|(\S+))""")
 
 @dataclass(frozen=True)
 class Block:
-    """language; options behind it (``exit=1``, ``title="file"``); text; line in its page."""
+    """language; options behind it (``exit=1``, ``title="file"``) and marks (``no-run``); text;
+    line in its page."""
 
     language: str
     options: dict[str, str]
     text: str
     line: int
     page: Path = field(compare=False)
+    marks: frozenset[str] = frozenset()
 
     def __str__(self) -> str:
         return f"{self.page.name}:{self.line}"
@@ -35,7 +37,8 @@ def blocks(page: Path) -> Iterator[Block]:
     for match in _FENCE.finditer(text):
         options = {m[1]: m[2] if m[2] is not None else m[3] for m in _OPTION.finditer(match[2])}
         line = text.count("\n", 0, match.start()) + 1
-        yield Block(match[1], options, match[3], line, page)
+        marks = frozenset(_OPTION.sub("", match[2]).split())
+        yield Block(match[1], options, match[3], line, page, marks)
 
 
 def shell(text: str, folder: Path, timeout: float = 500.0) -> subprocess.CompletedProcess[str]:
