@@ -77,12 +77,13 @@ class Safeguard:
         self._pipeline: PosePipeline | None = None
         self._watchdog: Watchdog | None = None
         self.fence = Fence.from_level(level)
+        self.limits = limits or limits_for(level.control_frequency, 15)
         self.estop = EmergencyStop([backend], clock)
         self.gate = CommandGate(
             backend,
             self.fence,
             clock,
-            limits or limits_for(level.control_frequency, 15),
+            self.limits,
             state=self._believed,
             on_event=self._told.append,
         )

@@ -175,7 +175,10 @@ class RemoteSafeguard:
     so, and the vehicle counts as taken.
     """
 
-    def __init__(self, process: FlightProcess, clock: FlightClock, fence: Fence) -> None:
+    def __init__(
+        self, process: FlightProcess, clock: FlightClock, fence: Fence, limits: Limits
+    ) -> None:
+        self.limits = limits
         self._process = process
         self._clock = clock
         self._terminal: list[Any] | None = None
@@ -342,7 +345,7 @@ def connected(
         process.close()
         raise
     clock.process, clock.pipeline = process, pipeline
-    guard = RemoteSafeguard(process, clock, Fence.from_level(level))
+    guard = RemoteSafeguard(process, clock, Fence.from_level(level), limits or Limits())
     about: dict[str, object] = {"backend": uri, "flight_process": process.notes}
     if model is not None:
         about["vehicle"] = model.name

@@ -32,7 +32,8 @@ class Ending:
 
 
 def hostile(name, *ends):
-    return Ending(ends or HARMED, FATAL[name][0].replace("\n        ", "\n            "))
+    # Written for the body of a method; further lines are indented for it.
+    return Ending(ends or HARMED, FATAL[name][0].replace("\n        ", "\n"))
 
 
 def asks(command, *ends):
@@ -97,9 +98,7 @@ def many(order):
     ]
     for index, name in enumerate(order):
         lines.append(f"    if index == {index}:")
-        lines += [
-            f"        {line}" for line in ENDINGS[name].code.replace("\n    ", "\n").split("\n")
-        ]
+        lines += [f"        {line}" for line in ENDINGS[name].code.split("\n")]
     return COUNTED + RISE.format(trouble="\n        ".join(lines))
 
 
@@ -166,7 +165,8 @@ def test_every_ending_three_times_in_one_run(tmp_path, monkeypatch):
 def test_three_episodes_behind_walls(tmp_path, name):
     ending = {**ENDINGS, **WALLED}[name]
     entry = tmp_path / "walled.py"
-    trouble = f"if time > {WHEN}:\n            {ending.code}"
+    lines = [f"if time > {WHEN}:", *(f"    {line}" for line in ending.code.split("\n"))]
+    trouble = "\n        ".join(lines)
     entry.write_text(IMPORTS + RISE.format(trouble=trouble))
     result = fly(
         tmp_path,
