@@ -20,6 +20,7 @@ from crazyarena.clock import WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels.lsy import LsyLevel, load_lsy_level
 from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, fresh_seed
+from crazyarena.plain_text import shown, shown_line
 from crazyarena.runner.contestant.contract_lsy.dialogue import LsyContestant
 from crazyarena.runner.contestant.contract_lsy.pilot import LsyInProcess
 from crazyarena.runner.contestant.contract_lsy.submission import (
@@ -287,23 +288,24 @@ def _remove_if_empty(folder: Path) -> None:
 def lsy_table(result: LsyResult) -> Any:
     """Rich table, a row an episode."""
     from rich import box
+    from rich.markup import escape
     from rich.table import Table
 
-    shown = Table(box=box.SIMPLE, header_style="bold", collapse_padding=True, pad_edge=False)
-    shown.add_column("#", justify="right")
-    shown.add_column("termination", no_wrap=True)
+    view = Table(box=box.SIMPLE, header_style="bold", collapse_padding=True, pad_edge=False)
+    view.add_column("#", justify="right")
+    view.add_column("termination", no_wrap=True)
     for name in ("time s", "gates", "compute ms\np50/max"):
-        shown.add_column(name, justify="right", no_wrap=True)
+        view.add_column(name, justify="right", no_wrap=True)
     for e in result.episodes:
         style = "green" if e.success else "red"
-        shown.add_row(
+        view.add_row(
             str(e.index + 1),
-            f"[{style}]{e.termination}[/{style}]",
+            f"[{style}]{escape(shown_line(e.termination))}[/{style}]",
             f"{e.time:.2f}",
             f"{e.gates_passed}/{e.gates}",
             computing(e.compute_ms),
         )
-    return shown
+    return view
 
 
 def tell(result: LsyResult, console: Console) -> None:
@@ -311,7 +313,9 @@ def tell(result: LsyResult, console: Console) -> None:
     console.print(lsy_table(result))
     for episode in result.episodes:
         for note in episode.notes:
-            text = f"episode {episode.index + 1}: {note}"
+            text = shown(f"episode {episode.index + 1}: {note}")
             console.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
     if result.error is not None:
-        console.print(result.error, style="red", markup=False, highlight=False, soft_wrap=True)
+        console.print(
+            shown(result.error), style="red", markup=False, highlight=False, soft_wrap=True
+        )

@@ -22,6 +22,7 @@ from crazyarena.levels import Level
 from crazyarena.mocap.axes import recognised_axes
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
 from crazyarena.mocap.survey import misplaced
+from crazyarena.plain_text import shown_line
 from crazyarena.safety.axes import explain_axes
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.fence import Fence
@@ -251,7 +252,7 @@ def check_axes(p: Preflight) -> list[Line]:
 def check_strangers(p: Preflight) -> list[Line]:
     vehicles = [vehicle.body for vehicle in p.vehicles]
     unknown = sorted(set(p.bodies) - set(p.known) - set(vehicles))
-    found = ", ".join(unknown) if unknown else f"{len(p.bodies)} bodies, all known"
+    found = ", ".join(map(shown_line, unknown)) if unknown else f"{len(p.bodies)} bodies, all known"
     return [Line("arena clear", not unknown, found, "take them out of the arena, or name them")]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from crazyarena import whole_file
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.records.validate import PURE_DELAY, Pair, medians
 from crazyarena.sim_backend.vehicles import Vehicle
 
@@ -70,7 +71,10 @@ def tables(pairs: Sequence[Pair], vehicle: Vehicle) -> list[Any]:
 
 
 def _short(name: str) -> str:
-    return name if len(name) <= _NAME else name[: _NAME - 1] + "…"
+    from rich.markup import escape
+
+    name = shown_line(name)
+    return escape(name) if len(name) <= _NAME else escape(name[: _NAME - 1]) + "…"
 
 
 def _number(value: float) -> str:
