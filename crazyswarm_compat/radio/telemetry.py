@@ -14,6 +14,7 @@ from cflib.crazyflie.log import LogConfig
 from cflib.utils.encoding import decompress_quaternion
 
 from crazyarena.clock import Clock
+from crazyarena.crazyswarm_compat.radio.uptime import Uptime
 from crazyarena.types import Telemetry, Vector, VehicleState
 
 _LOG = logging.getLogger(__name__)
@@ -163,6 +164,7 @@ class TelemetryReader:
     ----------
     plant_rate: of motors, accelerometer and voltage, Hz, from the next connection on; 0 for none.
     certainty_rate: of how sure its filter is of the estimate, likewise.
+    on_restart: called when the stamps of its log data show that it was restarted.
     on_state: called with what is known and the vehicle's time stamp, ms modulo 2^24, at every
         estimate; in cflib's thread.
     """
@@ -179,6 +181,8 @@ class TelemetryReader:
         self.plant_rate = 0.0
         self.certainty_rate = 0.0
         self.on_state: list[OnState] = []
+        self.on_restart: Callable[[], None] = lambda: None
+        self._uptime = Uptime()
         self._lock = threading.Lock()
         self._blocks: list[Block] = []
         self._divisor = 1
@@ -292,7 +296,7 @@ class TelemetryReader:
             acceleration=np.array([float(values[name]) for name in _ACCELEROMETER]),
         )
 
-    def _health(self, values: Mapping[str, float], _: int) -> None:
+    def _health(self, values: Mapping[str, float], stamp: int) -> None:
         changes: dict[str, Any] = {"timestamp": self._clock.now()}
         if "pm.vbat" in values:
             changes["battery"] = float(values["pm.vbat"])
@@ -307,6 +311,8 @@ class TelemetryReader:
         elif "sys.canfly" in values:
             changes["supervisor"] = sum(mask for name, mask in _OLD_FLAGS if values.get(name))
         self._update(**changes)
+        if self._uptime.restarted(stamp, self._clock.now()):
+            self.on_restart()
 
     def _turn(self, values: Mapping[str, float], _: int) -> None:
         roll, pitch, yaw = (1e-3 * values[f"stateEstimateZ.{name}"] for name in _RATES)

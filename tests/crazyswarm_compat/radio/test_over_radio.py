@@ -17,6 +17,7 @@ from crazyarena.crazyswarm_compat.radio import (
     LinkUp,
     RadioBackend,
     RadioOptions,
+    VehicleRestarted,
 )
 from crazyarena.errors import BackendError
 from crazyarena.sim_backend.crazyradio.environment import with_dongles
@@ -112,12 +113,21 @@ def test_emergency_stop_of_all(connected):
 
 def test_a_reboot_is_an_outage_and_the_backend_comes_back(connected, vehicles):
     backend = connected(1, reconnect=True, reconnect_interval=0.5)
+    eventually(lambda: backend.telemetry(1).supervisor is not None)
     vehicles.command("reboot")
     eventually(lambda: any(isinstance(e, LinkLost) for e in backend._events._events))
     lost = [e for e in backend.take_events() if isinstance(e, LinkLost)]
     assert "nothing heard" in lost[0].reason or "too many packets lost" in lost[0].reason
     eventually(lambda: backend.connected(1))
-    assert [e for e in backend.take_events() if isinstance(e, LinkUp)]
+    events = []
+
+    def restarted():
+        events.extend(backend.take_events())
+        return [e for e in events if isinstance(e, VehicleRestarted)]
+
+    eventually(restarted)
+    assert [e for e in events if isinstance(e, LinkUp)]
+    assert len(restarted()) == 1
 
 
 def test_an_unplugged_dongle_is_named_and_plugged_in_again_it_goes_on(connected, vehicles):

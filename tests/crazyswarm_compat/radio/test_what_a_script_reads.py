@@ -45,8 +45,9 @@ def documented(mark: str) -> str:
 
 
 def pattern(line: str) -> str:
-    """A documented line with any numbers."""
-    return re.sub(r"\d+\\\.\d+", r"\\d+\\.\\d+", re.escape(line.strip()))
+    """A documented line with any numbers, and anything for an ellipsis."""
+    numbers = re.sub(r"\d+\\\.\d+", r"\\d+\\.\\d+", re.escape(line.strip()))
+    return numbers.replace("…", ".*")
 
 
 class Flight:
