@@ -288,18 +288,18 @@ class Watched:
         episode, count = _PATH.unpack_from(self._memory, self._path_at)
         return episode, count
 
-    def paths(self) -> NDArray[np.float32]:
-        """Points (n, k, 3) m flown in this episode, oldest first; the newest ones only of a long
-        flight."""
+    def paths(self) -> tuple[NDArray[np.float32], int]:
+        """Points (n, k, 3) m flown in this episode, oldest first, and how many there were in all:
+        of a long flight only the newest are there still."""
         earlier, before = self.path_version()
         ring = self._points.copy()
         episode, after = self.path_version()
         length = ring.shape[1]
         if episode != earlier:
-            return ring[:, :0]
+            return ring[:, :0], 0
         # Those overwritten while they were copied are left out.
         first = max(0, after - length + (after - before if after > length else 0))
-        return ring[:, np.arange(first, before) % length]
+        return ring[:, np.arange(first, before) % length], before
 
     def reply(self, answer: Mapping[str, Any]) -> None:
         """Tell the flight something."""

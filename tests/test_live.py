@@ -114,7 +114,7 @@ def test_a_viewer_sees_scene_state_and_paths(live):
     watched = Watched(live.file)
     assert watched.state() is None
     assert watched.scene() == {}
-    assert watched.paths().shape == (2, 0, 3)
+    assert watched.paths()[0].shape == (2, 0, 3)
     live.scene({"title": "level3"})
     live.rows[:, POSITION : POSITION + 3] = [[1, 2, 3], [4, 5, 6]]
     live.begin()
@@ -125,9 +125,9 @@ def test_a_viewer_sees_scene_state_and_paths(live):
     assert state.facts == {"time": 0.5, "phase": "run"}
     np.testing.assert_array_equal(state.rows[:, POSITION], [1, 4])
     np.testing.assert_array_equal(state.rows[:, ID], [1, 2])
-    np.testing.assert_array_equal(watched.paths()[1], [[4, 5, 6]])
+    np.testing.assert_array_equal(watched.paths()[0][1], [[4, 5, 6]])
     live.begin()
-    assert watched.paths().shape == (2, 0, 3)
+    assert watched.paths()[0].shape == (2, 0, 3)
 
 
 def test_the_newest_points_of_a_long_path_are_kept_in_order(tmp_path):
@@ -136,7 +136,9 @@ def test_the_newest_points_of_a_long_path_are_kept_in_order(tmp_path):
     length = 65536 // MOST_VEHICLES
     for k in range(length + 10):
         live.extend(np.full((MOST_VEHICLES, 3), float(k)))
-    path = watched.paths()[0, :, 0]
+    points, count = watched.paths()
+    assert count == length + 10
+    path = points[0, :, 0]
     np.testing.assert_array_equal(path, np.arange(10, length + 10))
     live.close()
 

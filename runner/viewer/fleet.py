@@ -32,7 +32,6 @@ _STOP = (220, 40, 30)
 _NOSE = (40, 40, 40)
 _ARM = 0.046  # m, from the middle to a motor
 _DRAWN = 2.0  # times as large as it is: in a whole arena it would hardly be seen
-_MOST_SEGMENTS = 40_000  # of all paths together
 
 
 def colours(count: int) -> NDArray[np.uint8]:
@@ -65,7 +64,7 @@ def wxyz(quaternions: Array) -> Array:
     return turned
 
 
-def _linear(shades: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def linear(shades: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """sRGB colours 0..255 as the browser takes those of single points: linear in light."""
     share = shades.astype(np.float64) / 255.0
     light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
@@ -156,7 +155,7 @@ class Fleet:
         """Positions (n, 3) m and attitudes (n, 4) x, y, z, w; further (n, 3) m, NaN for none."""
         turns = wxyz(quaternions)
         own = colours(len(positions)) if colour is None else colour
-        self._bodies.place(positions, turns, _linear(own))
+        self._bodies.place(positions, turns, linear(own))
         self._noses.place(positions, turns)
         nowhere = np.full_like(positions, np.nan)
         self._setpoints.place(nowhere if setpoints is None else setpoints)
@@ -207,20 +206,6 @@ class Fleet:
         elif not np.array_equal(self._ways.points, ways.astype(np.float32)):
             self._ways.points = ways.astype(np.float32) if len(ways) else np.zeros((1, 2, 3))
 
-    def paths(self, points: NDArray[Any], colour: NDArray[np.uint8] | None = None) -> None:
-        """Ways flown (n, k, 3) m, each in the colour (n, 3) of its vehicle; NaN is a gap."""
-        count = len(points)
-        most = max(2, _MOST_SEGMENTS // max(1, count))
-        every = max(1, -(-points.shape[1] // most))
-        kept = points[:, ::every]
-        if every > 1 and points.shape[1]:
-            kept = np.concatenate([kept, points[:, -1:]], axis=1)
-        segments = np.stack([kept[:, :-1], kept[:, 1:]], axis=2)
-        shade = colours(count) if colour is None else colour
-        shades = np.broadcast_to(shade[:, None, None, :], segments.shape)
-        good = np.isfinite(segments).all(axis=(2, 3))
-        self.segments(segments[good], shades[good])
-
     def segments(self, segments: NDArray[Any], shades: NDArray[np.uint8]) -> None:
         """Paths as (n, 2, 3) m with colours (n, 2, 3)."""
         if self._paths is not None:
@@ -230,7 +215,7 @@ class Fleet:
             self._paths = self._scene.add_line_segments(
                 "/paths",
                 segments,
-                _linear(shades),
+                linear(shades),
                 thickness=2.5,
                 thickness_units="screen",
             )

@@ -19,9 +19,12 @@ from crazyarena.runner.viewer.fleet import Fleet, colours
 from crazyarena.runner.viewer.operator_page import page
 from crazyarena.runner.viewer.server import Rights, connection_of, go_to, look_at
 from crazyarena.runner.viewer.stage import Stage
+from crazyarena.runner.viewer.trails import Trails
 from crazyarena.safety.estop_local import LANDING, STOPPED, stop_local
 
 RATE = 30.0  # pictures a second
+_RATE_OF_MANY = 15.0
+_MANY = 10  # vehicles
 _IDLE = 2.0  # pictures a second while nobody looks
 _WORDS = 0.2  # s, between new words
 _PATHS = 0.25  # s, between new paths
@@ -57,6 +60,8 @@ class LivePage:
         self._clock = clock if clock is not None else WallClock()
         self._stage = Stage(server.scene)
         self._fleet = Fleet(server.scene)
+        self._trails = Trails(server.scene)
+        self._rate = RATE if watched.vehicles <= _MANY else _RATE_OF_MANY
         self._versions = (-1, -1)
         self._path: tuple[Any, ...] = ()
         self._news = self._clock.now()
@@ -140,7 +145,7 @@ class LivePage:
             elif now - alone > _FAREWELL:
                 return
             self.show(now, over)
-            clock.sleep_until(now + 1.0 / (RATE if looked_at else _IDLE))
+            clock.sleep_until(now + 1.0 / (self._rate if looked_at else _IDLE))
 
     def show(self, now: float, over: bool) -> None:
         """Show the newest state."""
@@ -186,14 +191,17 @@ class LivePage:
             self._fleet.drawn(spots, facts.get("edges"), facts.get("ellipsoid"))
 
     def _show_ways(self) -> None:
-        version = (*self._watched.path_version(), bool(self._show_paths.value))
-        if version != self._path:
-            self._path = version
-            paths = self._watched.paths() if self._show_paths.value else np.empty((0, 0, 3))
-            shades = None
-            if self._state is not None and len(paths):
-                shades = _colours(self._state.rows[:, COLOUR : COLOUR + 3])
-            self._fleet.paths(paths, shades)
+        episode, count = self._watched.path_version()
+        wanted = bool(self._show_paths.value)
+        version = (episode, count, wanted)
+        if version == self._path:
+            return
+        if not wanted or self._path[:1] != (episode,):
+            self._trails.clear()
+        self._path = version
+        if wanted and self._state is not None:
+            shades = _colours(self._state.rows[:, COLOUR : COLOUR + 3])
+            self._trails.show(*self._watched.paths(), shades)
 
     def _tell_consoles(self, facts: dict[str, Any], over: bool) -> None:
         self._control = bool(facts.get("control")) and not over

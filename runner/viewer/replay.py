@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import html
 import math
 from typing import Any
@@ -23,6 +24,7 @@ SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "5", "10")
 _GHOST = 0.35
 _PATH_STEP = 0.02  # s
 _MOST_EVENTS = 6
+_DRAWN = "drawings"  # id of what controllers of lsy_drone_racing draw
 _SLIDER = 0.1  # s, between moves of the slider while it plays
 # From slow to fast, without red beside green (viridis).
 _SPEED_COLOURS = np.array(
@@ -51,7 +53,8 @@ class Replay:
         self.speed = 1.0
         self._shown: tuple[Any, ...] = ()
         self._slider_at = -math.inf
-        self._update = -2
+        self._update = -1
+        self._entities: dict[Any, dict[str, Any]] = {}
         self._colours = colours(len(flights))
         self._stage = Stage(server.scene)
         self._stage.show(flights[0].scene)
@@ -201,15 +204,21 @@ class Replay:
     def _show_update(self) -> None:
         """What the contestant has drawn, and gates that have moved, of the first flight."""
         updates = self._flights[0].updates
-        latest = sum(time <= self.time for time, _ in updates) - 1
+        latest = bisect.bisect_right(updates, self.time, key=lambda update: update[0]) - 1
         if latest == self._update or not updates:
             return
-        self._update = latest
         scene = dict(self._flights[0].scene)
-        entities = {e.get("id"): e for e in scene["track"] if isinstance(e, dict)}
-        for _, update in updates[: latest + 1]:
-            entities |= {e.get("id"): e for e in update if isinstance(e, dict)}
-        self._stage.show({**scene, "track": list(entities.values())})
+        if latest < self._update:
+            self._entities = {}
+            self._update = -1
+        if not self._entities:
+            self._entities = {e.get("id"): e for e in scene["track"] if isinstance(e, dict)}
+        for _, update in updates[max(0, self._update + 1) : latest + 1]:
+            self._entities |= {e.get("id"): e for e in update if isinstance(e, dict)}
+        self._update = latest
+        drawn = [e for name, e in self._entities.items() if name == _DRAWN]
+        track = [e for name, e in self._entities.items() if name != _DRAWN]
+        self._stage.show({**scene, "track": track, "drawn": drawn})
 
 
 def speed_colours(speed: Array) -> NDArray[np.uint8]:

@@ -22,26 +22,35 @@ def rgb(colour: Iterable[float]) -> tuple[int, int, int]:
 
 
 class Stage:
-    """Draws scenes (docs/viewer.md) into a viser server; each replaces the one before."""
+    """Draws scenes (docs/viewer.md) into a viser server; each replaces the one before, and only
+    what has changed is drawn anew."""
 
     def __init__(self, scene: Any) -> None:
         self._scene = scene
-        self._handles: list[Any] = []
+        self._drawn: dict[str, Any] = {}
+        self._handles: dict[str, list[Any]] = {}
+        self._part = ""
         scene.set_up_direction("+z")
 
     def show(self, fields: Mapping[str, Any]) -> None:
-        """Draw everything anew."""
-        for handle in self._handles:
-            handle.remove()
-        self._handles = []
+        """Draw a scene."""
         arena = fields.get("arena")
         arena = arena if isinstance(arena, Mapping) else {}
-        low, high = self._bounds(arena)
-        self._floor(low, high)
-        self._limits(arena)
-        self._entities("track", fields.get("track"))
-        self._entities("nominal", fields.get("nominal"))
-        self._entities("drawn", fields.get("drawn"))
+        if self._begin("arena", arena):
+            self._floor(*self._bounds(arena))
+            self._limits(arena)
+        for name in ("track", "nominal", "drawn"):
+            if self._begin(name, fields.get(name)):
+                self._entities(name, fields.get(name))
+
+    def _begin(self, part: str, fields: Any) -> bool:
+        """Whether a part has to be drawn; what was drawn of it is gone then."""
+        if part in self._drawn and self._drawn[part] == fields:
+            return False
+        for handle in self._handles.get(part, ()):
+            handle.remove()
+        self._drawn[part], self._handles[part], self._part = fields, [], part
+        return True
 
     @staticmethod
     def bounds(fields: Mapping[str, Any]) -> tuple[Array, Array]:
@@ -127,4 +136,4 @@ class Stage:
             )
 
     def _keep(self, handle: Any) -> None:
-        self._handles.append(handle)
+        self._handles[self._part].append(handle)

@@ -72,7 +72,7 @@ def test_a_fleet_is_published_with_what_the_script_draws(views, flags):
     np.testing.assert_allclose(state.rows[0, COLOUR : COLOUR + 3], [1.0, 0.0, 0.5])
     assert state.facts["edges"] == [[0, 1]]
     assert state.facts["ellipsoid"] == [0.1, 0.1, 0.3]
-    assert view.watched.paths().shape[1] > 10
+    assert view.watched.paths()[1] > 10
     assert view.watched.scene()["vehicles"] == ["cf1", "cf7"]
     swarm.timeHelper.visualizer.close()
     assert view.watched.over

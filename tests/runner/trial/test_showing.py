@@ -66,7 +66,7 @@ def test_a_flight_is_the_same_whether_it_is_shown_or_not(tmp_path, view, level):
 
 def test_a_competition_flight_shows_its_state_and_end(tmp_path, view):
     result = fly(tmp_path, view, "level0", "out")
-    paths = Watched(view.live.file).paths()
+    paths, _ = Watched(view.live.file).paths()
     assert paths.shape[1] == result.episodes[0].steps
     facts, _ = view.states[-1]
     assert facts["phase"] == "over"
