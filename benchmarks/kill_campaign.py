@@ -3,9 +3,9 @@
     python benchmarks/kill_campaign.py [--dry-run 80] [--evaluate 10] [--bench 10] [--seed 0]
 
 Each run flies more episodes than it will live for. It is killed with SIGKILL at a moment drawn
-evenly between its start and some time after its first episode; every fourth gets SIGTERM first, and
-20 s. What it has started (sandbox, flight process, virtual arena) must end by itself. Then every
-recording is read to its end, and ``result.json`` must be whole and tell of every finished one.
+evenly between its start and twice the time of its first episode; every fourth gets SIGTERM first,
+and 20 s. What it has started (sandbox, flight process, virtual arena) must end by itself. Then
+every recording is read to its end; ``result.json`` must be whole and tell of every finished one.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ def campaign(name: str, runs: int, draw: random.Random, folder: Path) -> Tally:
         out = folder / f"{name}-{index}"
         with _running(command, out) as process:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(draw.uniform(0.2, 1.5) * first)
+                process.wait(draw.uniform(0.2, 2.0) * first)
             if process.poll() is not None:
                 tally.troubles.append(f"{out}: ended by itself with {process.returncode}")
             if index % 4 == 3:
