@@ -30,7 +30,7 @@ _EMPTY = [
     "track.gates=[]", "track.obstacles=[]", "start.position=[0, -0.5, 0.03]",
     "goal.position=[2.5, 2.5, 1.5]", "episode_length=8.0",
 ]  # fmt: skip
-_MOST = 180.0  # s for a first episode, with compiling
+_MOST = 400.0  # s for a first episode, with compiling
 _MERCY = 20.0  # s between SIGTERM and SIGKILL
 _LANDING = 60.0  # s for a vehicle without a runner to be landed
 _MARK = "CRAZYARENA_KILL_CAMPAIGN"
@@ -41,9 +41,11 @@ def _sets(overrides: list[str]) -> list[str]:
 
 
 COMMANDS = {
-    "dry-run": ["dry-run", str(ROOT / "examples" / "racer"), "--episodes", "100000", "--no-figure"],
+    "dry-run": [
+        "dry-run", str(ROOT / "examples" / "starter"), "--episodes", "100000", "--no-figure",
+    ],
     "evaluate": [
-        "evaluate", str(ROOT / "examples" / "racer_state"), "--level", "lsy/level1", "--record",
+        "evaluate", str(ROOT / "examples" / "starter_lsy"), "--level", "lsy/level1", "--record",
         "--runs", "100000",
     ],
     "bench": [

@@ -67,7 +67,7 @@ def test_column_vectors_pass():
         ((Command.TAKEOFF, [1, 0]), "argument 'duration' is 0.0; expected more than 0 s"),
         (
             (Command.TAKEOFF, ["high", 1]),
-            "argument 'height' is text, 'high' (str); expected one number",
+            "argument 'height' is text, 'high' (str); expected",
         ),
         ((Command.LAND, [float("nan"), 1]), "LAND argument 'height' is nan"),
         ((Command.GOTO, [1, 2, 3, 0, 2.5, False]), "expected 4 arguments: [[x, y, z], yaw"),
@@ -78,7 +78,7 @@ def test_column_vectors_pass():
         ((Command.FULLSTATE, [V, V, V, 0, [0, 0, None]]), "'rpy_rates'"),
         (
             (Command.FULLSTATE, [V, V, ["a", 0, 0], 0, V]),
-            "'acceleration' holds text, ['a', 0, 0] (list)",
+            "'acceleration' holds text, ['a', 0, 0]",
         ),
         ((Command.FULLSTATE, [V, V, V, None, V]), "'yaw' is None"),
     ],
