@@ -28,6 +28,7 @@ from crazyarena.runner.contestant.contract_lsy.submission import (
     controller_hash,
     find_controller,
 )
+from crazyarena.runner.contestant.prints import PrintsShown
 from crazyarena.runner.judging.lsy_rules import LsyReferee
 from crazyarena.runner.judging.result import CONTROLLER_ERROR, INTERRUPTED
 from crazyarena.runner.records.lsy_scene import lsy_scene
@@ -151,6 +152,8 @@ class LsyRun:
                 contestant = self._contestant(stack)
                 stack.callback(contestant.close)
                 self.isolated = bool(contestant.description["isolated"])
+                if not self._sandbox:
+                    stack.callback(PrintsShown(lambda: True).close)
                 stack.enter_context(_terminable())
                 for index in range(self._episodes):
                     result = self._episode(index, contestant, world, referee, random.reset())
