@@ -13,18 +13,17 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from crazyarena.errors import InputError
-from crazyarena.levels import load_level
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level, Profile
 from crazyarena.plain_text import shown, shown_line
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.in_process import InProcess
-from crazyarena.runner.contestant.submission import Submission, entry_file
 from crazyarena.runner.judging.result import EpisodeResult, TrialResult
-from crazyarena.runner.records.outcome_table import remarks, score_line, table
+from crazyarena.runner.records.outcome_table import table
 from crazyarena.runner.records.recorder import Recorder
-from crazyarena.runner.records.report import NOT_ISOLATED, provenance, write_result
+from crazyarena.runner.records.report import NOT_ISOLATED, write_result
 from crazyarena.runner.trial.control_loop import Deadlines
+from crazyarena.runner.trial.entry import Entry, enter
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.trial.staging import Staging
 from crazyarena.runner.trial.trial import Trial
@@ -61,9 +60,11 @@ def make_world(
     limits: Limits | None = None,
     supply: VehicleSupply | None = None,
     cameras: CameraModel | None = None,
+    entry: Entry | None = None,
 ) -> World:
     """Return the simulated world of a level's profile; ``seed`` is that of its noise, ``limits``
-    those of its watchdog, ``supply`` of the vehicles of an arena, ``cameras`` its own."""
+    those of its watchdog, ``supply`` of the vehicles of an arena, ``cameras`` its own, ``entry``
+    what has a track of its own."""
     if level.profile is Profile.COMPETITION:
         from crazyarena.sim_backend.competition import CompetitionWorld
 
@@ -71,7 +72,8 @@ def make_world(
     from crazyarena.runner.rig.rig import simulated
     from crazyarena.runner.trial.tracked_world import TrackedWorld
 
-    return TrackedWorld(simulated(level, seed, cameras, limits=limits, supply=supply))
+    own = {} if entry is None else {"track": entry.track, "params": entry.params}
+    return TrackedWorld(simulated(level, seed, cameras, limits=limits, supply=supply, **own))
 
 
 def results_folder(out: Path | None, submission: Path, level: str) -> Path:
@@ -135,16 +137,17 @@ class DryRun:
         cameras: CameraModel | None = None,
     ) -> None:
         self._cameras = cameras
-        self._level = load_level(level, overrides)
+        path = example_racer() if submission is None else submission
+        self.entry = enter(path, level, overrides)
+        self._level = self.entry.level
         self._vehicle: Vehicle | None = None
         self._choose(vehicle, spread)
         self._options = options or FlightOptions()
         self._options.check()
+        self.entry.check(self._options)
         self._noise_seed = noise_seed
         self._seed = self._options.seed(seed, self._level)
-        path = example_racer() if submission is None else submission
-        entry_file(path.expanduser())  # a wrong path must not leave a results folder behind
-        self._path = path.expanduser().resolve()
+        self._path = self.entry.path
         self._episodes = self._level.num_episodes if episodes is None else episodes
         self._wanted_out = out
         self._record = record
@@ -172,6 +175,7 @@ class DryRun:
         from crazyarena.sim_backend.vehicles import VehicleChoice, resolve
 
         self._level, self._vehicle = resolve(level, choice or VehicleChoice())
+        self.entry.settle(self._level)
         self._spread = level.vehicle.spread if spread is None else spread
 
     @property
@@ -200,7 +204,7 @@ class DryRun:
                 stack.callback(world.close)
                 contestant = self._contestant()
                 stack.callback(contestant.close)
-                origin = provenance(level, self._seed, self._path, contestant.digest)
+                origin = self.entry.provenance(self._seed, contestant.digest)
                 origin["contestant"] = contestant.description
                 progress = stack.enter_context(self._progress())
                 display = _Display(progress, level.episode_length, self._episodes)
@@ -213,7 +217,7 @@ class DryRun:
         write_result(self.out / "result.json", result, origin)
         console.print(table(result))
         seed = "that is secret" if self._options.secret else self._seed
-        for line in (score_line(result), *remarks(result, level, seed)):
+        for line in self.entry.told(result, seed):
             console.print(line, highlight=False, markup=False)
         if origin.get("rig", {}).get("vehicles"):
             done = sum(episode.completed for episode in result.episodes)
@@ -238,23 +242,24 @@ class DryRun:
 
     def _make_world(self) -> World:
         seed = self._seed if self._noise_seed is None else self._noise_seed
-        return make_world(self._level, seed, self._limits(), self.supply, self._cameras)
+        return make_world(self._level, seed, self._limits(), self.supply, self._cameras, self.entry)
 
     def _limits(self) -> Limits:
         """Of the watchdog."""
         from crazyarena.runner.rig.safeguard import limits_for
 
-        return limits_for(self._level.control_frequency, self._options.max_misses)
+        limits = limits_for(self._level.control_frequency, self._options.max_misses)
+        return self.entry.limits(limits)
 
     def _contestant(self) -> Contestant:
         options = self._options
-        if options.sandboxed(self._level):
-            from crazyarena.runner.contestant.sandbox.process import Sandboxed
+        sandboxed = options.sandboxed(self._level)
+        contestant = self.entry.contestant(options, self.out / "work", sandboxed)
+        if sandboxed:
+            from crazyarena.runner.contestant.sandbox.process import announcement
 
-            contestant = Sandboxed(self._path, options.limits, require=options.require_sandbox)
-            self._print(contestant.announcement)
-            return contestant
-        return InProcess(Submission(self._path, self.out / "work"))
+            self._print(announcement(contestant.description))
+        return contestant
 
     def _fly(
         self,
@@ -280,7 +285,13 @@ class DryRun:
         }
         staging = self._staging(world, contestant, deadlines, origin, stack)
         trial = Trial(
-            self._level, contestant, world, staging=staging, deadlines=deadlines, **common
+            self._level,
+            contestant,
+            world,
+            contract=self.entry.contract,
+            staging=staging,
+            deadlines=deadlines,
+            **common,
         )
         result = trial.run()
         result.isolated = bool(contestant.description["isolated"])
@@ -331,8 +342,12 @@ class DryRun:
         from crazyarena.runner.trial.checklist import FlightChecklist
         from crazyarena.runner.trial.phases import Crew
 
-        self._preflight = FlightChecklist(world.rig, self._level)
-        return Crew(world.rig, world, self._level, checks=(self._preflight,), anywhere=True)
+        site = self.entry.site()
+        landmarks = None if site is None else site.landmarks
+        self._preflight = FlightChecklist(world.rig, self._level, landmarks=landmarks)
+        return Crew(
+            world.rig, world, self._level, checks=(self._preflight,), anywhere=True, site=site
+        )
 
     def _injection(self, stack: contextlib.ExitStack) -> Injection:
         from crazyarena.runner.trial.injection import Injection
@@ -359,7 +374,8 @@ class DryRun:
     def _keep(self, result: EpisodeResult, recorder: Recorder | None, track: Track) -> None:
         if self._figure and recorder is not None:
             states = np.array(recorder.states)
-            self._drawings.append((result, states, track.gates, track.obstacles))
+            gates = self.entry.drawn(track.gates)
+            self._drawings.append((result, states, gates, track.obstacles))
 
     def _draw_figures(self) -> None:
         """Matplotlib is slow to import, so it comes last."""

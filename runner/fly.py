@@ -79,6 +79,7 @@ class Fly(DryRun):
         return TrackedWorld(self._open_rig(self._level, self._limits()))
 
     def _crew(self, world: TrackedWorld) -> Crew:
+        site = self.entry.site()
         self._preflight = FlightChecklist(
             world.rig,
             self._level,
@@ -86,6 +87,7 @@ class Fly(DryRun):
             uri=self._uri,
             out=self.out,
             say=lambda text: self._tell(Phase.PREFLIGHT, text),
+            landmarks=None if site is None else site.landmarks,
         )
         crew = Crew(
             world.rig,
@@ -96,6 +98,7 @@ class Fly(DryRun):
             surveyed=self._surveyed,
             checks=(self._preflight,),
             anywhere=True,  # that is a line of the checklist
+            site=site,
         )
         self._listen_for_stops(world, crew)
         return crew

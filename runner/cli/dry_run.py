@@ -86,10 +86,11 @@ def dry_run(
         if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options):
             return
         from crazyarena.runner.dry_run import DryRun
+        from crazyarena.runner.trial.entry import default_level
 
         run = DryRun(
             submission=submission,
-            level=level or "level0",
+            level=level or default_level(submission),
             overrides=set_ or [],
             episodes=episodes,
             seed=seed,
@@ -135,6 +136,13 @@ def _flew_lsy(
                 f"{file}: a controller of lsy_drone_racing; level {level} is none of its levels. "
                 "Pass --level lsy/level0 ... lsy/level3, or a TOML file"
             )
+    from crazyarena.levels.lsy import load_lsy_level
+    from crazyarena.levels.lsy.schema import LsyProfile
+
+    if submission is not None:
+        wanted = load_lsy_level(level or "lsy/level0", overrides)
+        if wanted.profile is LsyProfile.ARENA:
+            return False
     if submission is None:
         raise InputError(
             f"level {level}: pass the file of a lsy_drone_racing controller, such as "

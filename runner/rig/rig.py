@@ -7,7 +7,7 @@ a dry run; that of a bench or arena flight is built from a radio link and a came
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -27,6 +27,7 @@ from crazyarena.runner.rig.watch import Guard
 from crazyarena.safety.limits import Limits
 
 if TYPE_CHECKING:
+    from crazyarena.sim_backend.arena_world import AnyTrack
     from crazyarena.sim_backend.vehicles import VehicleSupply
 
 # Children of the trial's seed, so that the level's own draws stay what the seed says.
@@ -122,10 +123,14 @@ def simulated(
     limits: Limits | None = None,
     guarded: bool = True,
     supply: VehicleSupply | None = None,
+    track: Callable[[Draw], AnyTrack] | None = None,
+    params: Mapping[str, float] | None = None,
 ) -> Rig:
     """The rig of a dry run: everything in this process, in virtual time.
 
-    ``supply`` is of the vehicles that fly; that of the level if not given.
+    ``supply`` is of the vehicles that fly; that of the level if not given. ``track`` builds the
+    track of a draw, and ``params`` are written to the vehicle, as
+    :class:`~crazyarena.sim_backend.arena_world.SimulatedArena` takes them.
     """
     from crazyarena.sim_backend.arena_world import SimulatedArena, motions
     from crazyarena.sim_backend.vehicles import level_supply
@@ -139,6 +144,8 @@ def simulated(
         motions=motions(level),
         supply=supply,
         nominal=level.vehicle,
+        track=track,
+        params=params,
     )
     safeguard = None
     backend: Backend = arena.link

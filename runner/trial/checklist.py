@@ -8,7 +8,7 @@ and asked for only where there are people: not in simulation, nor on the bench.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from crazyarena.safety import preflight as pf
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.rehearsal import Rehearsals
+from crazyarena.types import Pose
 
 _LOOK = 0.4  # s, over which the vehicle's estimate must be still, and bodies are counted
 _PERIOD = 0.02  # s
@@ -66,6 +67,7 @@ class FlightChecklist:
     waive: names of lines that must not ground the vehicle.
     uri: link of the vehicle if people are there to try what needs a hand; None if not.
     out: folder recordings go to.
+    landmarks: bodies whose nominal places tell the cameras' axes; the level's own by default.
     say: told of each line that is waived.
 
     Raises
@@ -83,6 +85,7 @@ class FlightChecklist:
         out: Path = Path("."),
         say: Callable[[str], None] = lambda text: None,
         rehearsals: Rehearsals | None = None,
+        landmarks: Mapping[str, Pose] | None = None,
     ) -> None:
         self._rig = rig
         self._level = level
@@ -92,6 +95,7 @@ class FlightChecklist:
         self._out = out
         self._say = say
         self._rehearsals = rehearsals
+        self._landmarks = landmarks
         self._runs: list[list[pf.Line]] = []
 
     def __call__(self) -> list[str]:
@@ -175,6 +179,7 @@ class FlightChecklist:
             clock=clock,
             machine_checks=machine,
             vehicle_checks=(*each, pf.check_start),
+            landmarks=self._landmarks,
         )
         if self._uri is not None:
             remember(checklist, self._rehearsals or Rehearsals(), {rig.body: self._uri})

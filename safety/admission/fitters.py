@@ -19,6 +19,7 @@ FITTERS: dict[type, Fitter] = {
     c.VelocityWorld: setpoints.velocity_world,
     c.Hover: setpoints.hover,
     c.Attitude: setpoints.attitude,
+    c.RollPitchYawThrust: setpoints.attitude,
     c.Takeoff: plans.takeoff,
     c.Land: plans.land,
     c.GoTo: plans.go_to,
