@@ -72,8 +72,16 @@ def make_world(
     from crazyarena.runner.rig.rig import simulated
     from crazyarena.runner.trial.tracked_world import TrackedWorld
 
-    own = {} if entry is None else {"track": entry.track, "params": entry.params}
-    return TrackedWorld(simulated(level, seed, cameras, limits=limits, supply=supply, **own))
+    rig = simulated(
+        level,
+        seed,
+        cameras,
+        limits=limits,
+        supply=supply,
+        track=None if entry is None else entry.track,
+        params=None if entry is None else entry.params,
+    )
+    return TrackedWorld(rig)
 
 
 def results_folder(out: Path | None, submission: Path, level: str) -> Path:

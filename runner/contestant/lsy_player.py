@@ -112,14 +112,8 @@ class LsyPlayer:
         self._drawn_every = drawn_every
         self.on_drawings = on_drawings
         self._last: NDArray[np.float32] | None = None
-
-    @property
-    def digest(self) -> str:
-        return self._seat.digest
-
-    @property
-    def description(self) -> dict[str, Any]:
-        return self._seat.description
+        self.digest = seat.digest
+        self.description = seat.description
 
     def make(self, obs: Any, level: Level, start: Array) -> None:
         """Construct the controller of an episode; raises InputError if that fails."""

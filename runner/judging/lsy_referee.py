@@ -115,8 +115,9 @@ class LsyTrialReferee:
         }
         verdict.row = self._written(last, verdict)
         verdict.events = [
-            Event(e.name, self.ticks, e.time, e.detail) for e in said.events
-        ] + self._news(float(last[TR_TIME]))
+            *(Event(e.name, self.ticks, e.time, e.detail) for e in said.events),
+            *self._news(float(last[TR_TIME])),
+        ]
         return verdict
 
     def _contact(self, row: Array) -> float:

@@ -8,7 +8,7 @@ of the 2022 competition.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -58,9 +58,9 @@ class Contract(Protocol):
     """
 
     level: Level
-    renews: bool
-    after: tuple[str, ...]
-    between: tuple[str, ...]
+    renews: ClassVar[bool]
+    after: ClassVar[tuple[str, ...]]
+    between: ClassVar[tuple[str, ...]]
 
     def draws(self, seed: int) -> Draws: ...
 
@@ -103,9 +103,9 @@ class Contract(Protocol):
 class Contract2022:
     """That of the 2022 competition: one controller for all episodes, gates told of in order."""
 
-    renews = False
-    after = ("interEpisodeLearn",)
-    between = ("interEpisodeReset",)
+    renews: ClassVar[bool] = False
+    after: ClassVar[tuple[str, ...]] = ("interEpisodeLearn",)
+    between: ClassVar[tuple[str, ...]] = ("interEpisodeReset",)
 
     def __init__(self, level: Level) -> None:
         self.level = level

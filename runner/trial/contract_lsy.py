@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,9 +33,9 @@ class ContractLsy:
     """See the module's text. level: of lsy_drone_racing; arena: what its arena is put together
     from, with the vehicle that flies."""
 
-    renews = True
-    after = EPISODE_HOOKS
-    between = ()
+    renews: ClassVar[bool] = True
+    after: ClassVar[tuple[str, ...]] = EPISODE_HOOKS
+    between: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, level: LsyLevel, arena: Level) -> None:
         self.lsy = level

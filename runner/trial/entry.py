@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from crazyarena.sim_backend.arena_world import AnyTrack
 
 
+_TILT = 0.9  # rad, up to which contestants may lean that fly by attitude
+
+
 class Entry(Protocol):
     """See the module's text.
 
@@ -196,7 +199,7 @@ class EntryLsy:
 
     @property
     def arena(self) -> dict[str, Any]:
-        return {"level": self._source[0], "overrides": self._source[1]}
+        return {"name": self._source[0], "overrides": self._source[1]}
 
     def site(self) -> Site:
         from crazyarena.runner.trial.site import LsySite
@@ -204,20 +207,32 @@ class EntryLsy:
         return LsySite(self.lsy)
 
     def limits(self, limits: Limits) -> Limits:
-        return replace(limits, allow_attitude=True) if self.attitude else limits
+        if not self.attitude:
+            return limits
+        from crazyarena.sim_backend.successor_models import GRAVITY, model
+
+        chosen = model(self.lsy.sim.drone_model)
+        weight = GRAVITY * self.level.vehicle.mass
+        return replace(
+            limits,
+            allow_attitude=True,
+            setpoint_tilt=_TILT,
+            thrust_to_weight=4.0 * chosen.thrust_max / weight,
+        )
 
     def contestant(self, options: FlightOptions, work: Path, sandboxed: bool) -> Contestant:
         from crazyarena.runner.contestant.lsy_player import (
             LsyPlayer,
             Seat,
             ThrustScale,
+            Translate,
             attitude,
             full_state,
         )
         from crazyarena.sim_backend.successor_models import model
 
         chosen = model(self.lsy.sim.drone_model)
-        translate = full_state
+        translate: Translate = full_state
         if self.attitude:
             translate = attitude(
                 ThrustScale(4.0 * chosen.thrust_max, chosen.pwm_min, chosen.pwm_max)

@@ -56,7 +56,7 @@ class LevelSite:
     """That of a level of ours: bodies stand on the floor, and have no front."""
 
     full_turn = False
-    landmarks = None
+    landmarks: Mapping[str, Pose] | None = None
 
     def __init__(self, level: Level) -> None:
         self._level = level
@@ -64,7 +64,7 @@ class LevelSite:
         self._obstacles = np.array([o.row for o in level.track.obstacles]).reshape(-1, 6)
         self.nominal: Mapping[str, Pose] = track_truth(self._gates, self._obstacles)
         self.allowed: Mapping[str, Allowed] = allowed(level)
-        self.moving = [f"gate{i + 1}" for i in level.track.tracked]
+        self.moving: Sequence[str] = [f"gate{i + 1}" for i in level.track.tracked]
 
     def track(self, poses: Mapping[str, Pose]) -> tuple[Array, Array]:
         gates, obstacles = self._gates.copy(), self._obstacles.copy()
