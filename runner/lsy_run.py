@@ -17,7 +17,7 @@ from crazyarena import __version__
 from crazyarena.clock import WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels.lsy import LsyLevel, load_lsy_level
-from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, fresh_seed
+from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, fresh_seed, refuse_short_keys
 from crazyarena.plain_text import shown_in
 from crazyarena.runner.contestant.contract_lsy.dialogue import LsyContestant
 from crazyarena.runner.contestant.contract_lsy.pilot import LsyInProcess
@@ -33,6 +33,7 @@ from crazyarena.runner.records.outcome_table import computing
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.records.report import machine, versions
 from crazyarena.runner.trial.lsy_episode import COMMAND_LAYOUT, LsyEpisode, LsyEpisodeResult
+from crazyarena.runner.trial.options import secret_seed
 from crazyarena.runner.warm_up import compile_missing
 from crazyarena.sim_backend.successor import SuccessorWorld, nominal
 
@@ -80,6 +81,7 @@ class LsyRun:
     submission: file of a controller of lsy_drone_racing, or a folder with exactly one.
     level: ``lsy/level0`` ... or a TOML file; overrides: see :func:`load_lsy_level`.
     seed: replaces the level's; -1 there means a new one, which is told.
+    secret: draw from 128 bits that nobody can guess instead; in a process of its own.
     out: results folder, or None for none at all.
     record: write an MCAP file an episode into it.
     sandbox: run the controller in a process of its own; require: refuse to without full walls.
@@ -97,6 +99,7 @@ class LsyRun:
         *,
         episodes: int = 1,
         seed: int | None = None,
+        secret: bool = False,
         out: Path | None = None,
         record: bool = True,
         sandbox: bool = False,
@@ -114,15 +117,24 @@ class LsyRun:
                 f"level {level} needs. Pass the file of such a controller"
             )
         self._file = file.resolve()
-        wanted = self.level.env.seed if seed is None else seed
-        self.seed = fresh_seed() if wanted < 0 else wanted
+        self.seed = self._settled(seed, secret)
         self._episodes = episodes
         self.out = out
         self._record = record
         self.isolated = False
-        self._sandbox = sandbox
+        self._sandbox = sandbox or secret
         self._require = require_sandbox
         self._console = console if console is not None else Console()
+
+    def _settled(self, given: int | None, secret: bool) -> int:
+        """The seed of the draws."""
+        if secret:
+            if given is not None:
+                raise InputError("--seed and --secret exclude each other")
+            refuse_short_keys(self.level)
+            return secret_seed()
+        wanted = self.level.env.seed if given is None else given
+        return fresh_seed() if wanted < 0 else wanted
 
     def run(self) -> LsyResult:
         """Fly; write ``result.json`` if there is a folder for it."""

@@ -148,16 +148,12 @@ def _flew_lsy(
             f"level {level}: pass the file of a lsy_drone_racing controller, such as "
             "examples/racer_state/racer_state.py"
         )
-    if options.secret:
-        raise InputError(
-            "--secret: levels of lsy_drone_racing draw from 31 bits; use --sandbox "
-            "--set env.seed=-1"
-        )
     if options.compute not in (None, "free"):
         raise InputError(
             f"--compute {options.compute}: in lsy_drone_racing's simulation thinking costs no "
             "time; leave it out"
         )
+    options.check()
     from rich.console import Console
 
     from crazyarena.runner.dry_run import results_folder
@@ -171,6 +167,7 @@ def _flew_lsy(
         overrides,
         episodes=episodes or 1,
         seed=seed,
+        secret=options.secret,
         record=record,
         sandbox=bool(options.sandbox) or options.require_sandbox,
         require_sandbox=options.require_sandbox,
@@ -181,7 +178,8 @@ def _flew_lsy(
     tell(result, console)
     if not run.isolated:
         console.print(NOT_ISOLATED, markup=False, highlight=False, soft_wrap=True)
-    console.print(f"Seed {result.seed}. Results in {run.out}", highlight=False, soft_wrap=True)
+    told = "The seed is secret" if options.secret else f"Seed {result.seed}"
+    console.print(f"{told}. Results in {run.out}", highlight=False, soft_wrap=True)
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)
     return True

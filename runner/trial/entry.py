@@ -169,12 +169,10 @@ class EntryLsy:
         self.level = level
 
     def check(self, options: FlightOptions) -> None:
-        from crazyarena.levels.lsy.schema import LsyRng
+        from crazyarena.levels.lsy.draw import refuse_short_keys
 
-        if options.secret and self.lsy.rng is LsyRng.THREEFRY:
-            raise InputError(
-                "--secret: rng threefry has keys of 64 bits; add --set rng=pcg64, which takes 128"
-            )
+        if options.secret:
+            refuse_short_keys(self.lsy)
 
     @property
     def attitude(self) -> bool:
