@@ -18,6 +18,7 @@ from crazyarena.clock import WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels.lsy import LsyLevel, load_lsy_level
 from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, fresh_seed, refuse_short_keys
+from crazyarena.levels.lsy.schema import LsyProfile
 from crazyarena.plain_text import shown_in
 from crazyarena.runner.contestant.contract_lsy.dialogue import LsyContestant
 from crazyarena.runner.contestant.contract_lsy.pilot import LsyInProcess
@@ -107,6 +108,11 @@ class LsyRun:
         console: Console | None = None,
     ) -> None:
         self.level: LsyLevel = load_lsy_level(level, overrides)
+        if self.level.profile is LsyProfile.ARENA:
+            raise InputError(
+                f"level {level}: profile arena is flown by crazyarena dry-run, bench and fly; an "
+                "evaluation is one in lsy_drone_racing's own simulation"
+            )
         path = submission.expanduser()
         if not path.exists():
             raise InputError(f"{path}: no such file or folder. Pass the file of a controller")
