@@ -12,20 +12,20 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from crazyarena.errors import InputError, StorageError
-from crazyarena.levels import load_level
 from crazyarena.levels.draw import Draw
-from crazyarena.levels.schema import Level, Profile
+from crazyarena.levels.schema import Profile
 from crazyarena.plain_text import shown, shown_line
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.in_process import InProcess
 from crazyarena.runner.contestant.shipped import example_racer
-from crazyarena.runner.contestant.submission import Submission, entry_file
 from crazyarena.runner.judging.result import EpisodeResult, TrialResult
-from crazyarena.runner.records.outcome_table import remarks, score_line, table
+from crazyarena.runner.records.outcome_table import table
 from crazyarena.runner.records.recorder import Recorder
-from crazyarena.runner.records.report import NOT_ISOLATED, provenance, result_document
+from crazyarena.runner.records.report import NOT_ISOLATED, result_document
 from crazyarena.runner.records.run_folder import ResultFile, run_folder
 from crazyarena.runner.trial.control_loop import Deadlines
+from crazyarena.runner.trial.entry import enter
+from crazyarena.runner.trial.make_world import make_world
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.trial.staging import Staging
 from crazyarena.runner.trial.trial import Trial
@@ -46,27 +46,6 @@ if TYPE_CHECKING:
     from crazyarena.sim_backend.vehicles import Vehicle, VehicleChoice, VehicleSupply
 
     Track = Draw | MeasuredTrack
-
-
-def make_world(
-    level: Level,
-    seed: int,
-    limits: Limits | None = None,
-    supply: VehicleSupply | None = None,
-    cameras: CameraModel | None = None,
-    deck: str | None = None,
-) -> World:
-    """Return the simulated world of a level's profile; ``seed`` is that of its noise, ``limits``
-    those of its watchdog, ``supply`` of the vehicles of an arena, ``cameras`` its own, ``deck`` on
-    its vehicle instead of those."""
-    if level.profile is Profile.COMPETITION:
-        from crazyarena.sim_backend.competition import CompetitionWorld
-
-        return CompetitionWorld(level.control_frequency)
-    from crazyarena.runner.rig.rig import simulated
-    from crazyarena.runner.trial.tracked_world import TrackedWorld
-
-    return TrackedWorld(simulated(level, seed, cameras, limits=limits, supply=supply, deck=deck))
 
 
 class _Display:
@@ -123,16 +102,17 @@ class DryRun:
         self._view: View | None = None
         self._pace = pace
         self._show: Showing | None = None
-        self._level = load_level(level, overrides)
+        path = example_racer() if submission is None else submission
+        self.entry = enter(path, level, overrides)
+        self._level = self.entry.level
         self._vehicle: Vehicle | None = None
         self._choose(vehicle, spread)
         self._options = options or FlightOptions()
         self._options.check()
+        self.entry.check(self._options)
         self._noise_seed = noise_seed
         self._seed = self._options.seed(seed, self._level)
-        path = example_racer() if submission is None else submission
-        entry_file(path.expanduser())  # a wrong path must not leave a results folder behind
-        self._path = path.expanduser().resolve()
+        self._path = self.entry.path
         self._episodes = self._level.num_episodes if episodes is None else episodes
         self._wanted_out = out
         self._record = record
@@ -159,6 +139,7 @@ class DryRun:
         from crazyarena.sim_backend.vehicles import VehicleChoice, resolve
 
         self._level, self._vehicle = resolve(level, choice or VehicleChoice())
+        self.entry.settle(self._level)
         self._spread = level.vehicle.spread if spread is None else spread
 
     @property
@@ -211,7 +192,7 @@ class DryRun:
                 contestant = self._contestant()
                 stack.callback(contestant.close)
                 origin = self._origin
-                origin |= provenance(level, self._seed, self._path, contestant.digest)
+                origin |= self.entry.provenance(self._seed, contestant.digest)
                 origin["contestant"] = contestant.description
                 self._flown.isolated = bool(contestant.description["isolated"])
                 progress = stack.enter_context(self._progress())
@@ -239,7 +220,7 @@ class DryRun:
         self._remove_if_empty(self.out / "work", self.out)
 
     def _report(self, result: TrialResult) -> None:
-        console, level, origin = self._console, self._level, self._origin
+        console, origin = self._console, self._origin
         document = result_document(result, origin)
         try:
             self._results.finish(document)
@@ -247,7 +228,7 @@ class DryRun:
             result.cut_short = result.cut_short or str(error)
         console.print(table(result))
         seed = "that is secret" if self._options.secret else self._seed
-        for line in (score_line(result), *remarks(result, level, seed)):
+        for line in self.entry.told(result, seed):
             console.print(line, highlight=False, markup=False)
         if origin.get("rig", {}).get("vehicles"):
             done = sum(episode.completed for episode in result.episodes)
@@ -298,7 +279,15 @@ class DryRun:
 
     def _make_world(self) -> World:
         seed = self._seed if self._noise_seed is None else self._noise_seed
-        return make_world(self._level, seed, self._limits(), self.supply, self._cameras, self._deck)
+        return make_world(
+            self._level,
+            seed,
+            self._limits(),
+            self.supply,
+            self._cameras,
+            self._deck,
+            self.entry,
+        )
 
     def _limits(self) -> Limits:
         """Of the watchdog, for the vehicle as its model has it, whatever is drawn."""
@@ -309,17 +298,18 @@ class DryRun:
             from crazyarena.runner.rig.flight_model import flight_model
 
             flown = flight_model(self._vehicle)
-        return limits_for(self._level.control_frequency, self._options.max_misses, flown)
+        limits = limits_for(self._level.control_frequency, self._options.max_misses, flown)
+        return self.entry.limits(limits)
 
     def _contestant(self) -> Contestant:
         options = self._options
-        if options.sandboxed(self._level):
-            from crazyarena.runner.contestant.sandbox.process import Sandboxed
+        sandboxed = options.sandboxed(self._level)
+        contestant = self.entry.contestant(options, self.out / "work", sandboxed)
+        if sandboxed:
+            from crazyarena.runner.contestant.sandbox.process import announcement
 
-            contestant = Sandboxed(self._path, options.limits, require=options.require_sandbox)
-            self._print(contestant.announcement)
-            return contestant
-        return InProcess(Submission(self._path, self.out / "work"))
+            self._print(announcement(contestant.description))
+        return contestant
 
     def _fly(
         self,
@@ -346,7 +336,13 @@ class DryRun:
         }
         staging = self._staging(world, contestant, deadlines, origin, stack)
         trial = Trial(
-            self._level, contestant, world, staging=staging, deadlines=deadlines, **common
+            self._level,
+            contestant,
+            world,
+            contract=self.entry.contract,
+            staging=staging,
+            deadlines=deadlines,
+            **common,
         )
         result = trial.run()
         result.isolated = self._flown.isolated
@@ -396,7 +392,9 @@ class DryRun:
         from crazyarena.runner.trial.checklist import FlightChecklist
         from crazyarena.runner.trial.phases import Crew
 
-        self._preflight = FlightChecklist(world.rig, self._level)
+        site = self.entry.site()
+        landmarks = None if site is None else site.landmarks
+        self._preflight = FlightChecklist(world.rig, self._level, landmarks=landmarks)
         return Crew(
             world.rig,
             world,
@@ -404,6 +402,7 @@ class DryRun:
             on_phase=self._tell,
             checks=(self._checked,),
             anywhere=True,
+            site=site,
         )
 
     def _tell(self, phase: Phase, text: str) -> None:
@@ -448,7 +447,8 @@ class DryRun:
         """After every episode: whatever ends the run later, this one was flown."""
         if self._figure and recorder is not None:
             states = np.array(recorder.states)
-            self._drawings.append((result, states, track.gates, track.obstacles))
+            gates = self.entry.drawn(track.gates)
+            self._drawings.append((result, states, gates, track.obstacles))
         self._flown.episodes.append(result)
         document = result_document(self._flown, self._origin, finished=False)
         self._results.add(result.as_dict(), document)

@@ -19,7 +19,8 @@ from crazyarena import __version__
 from crazyarena.clock import WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels.lsy import LsyLevel, load_lsy_level
-from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, fresh_seed
+from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, fresh_seed, refuse_short_keys
+from crazyarena.levels.lsy.schema import LsyProfile
 from crazyarena.plain_text import shown, shown_line
 from crazyarena.runner.contestant.contract_lsy.dialogue import LsyContestant
 from crazyarena.runner.contestant.contract_lsy.pilot import LsyInProcess
@@ -37,6 +38,7 @@ from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.records.report import machine, versions
 from crazyarena.runner.records.run_folder import ResultFile, run_folder
 from crazyarena.runner.trial.lsy_episode import COMMAND_LAYOUT, LsyEpisode, LsyEpisodeResult
+from crazyarena.runner.trial.options import secret_seed
 from crazyarena.runner.warm_up import compile_missing
 from crazyarena.sim_backend.successor import SuccessorWorld, nominal
 
@@ -85,6 +87,7 @@ class LsyRun:
     submission: file of a controller of lsy_drone_racing, or a folder with exactly one.
     level: ``lsy/level0`` ... or a TOML file; overrides: see :func:`load_lsy_level`.
     seed: replaces the level's; -1 there means a new one, which is told.
+    secret: draw from 128 bits that nobody can guess instead; in a process of its own.
     out: results folder, or None for none at all, unless ``keep``: then a new one under ``runs/``.
     record: write an MCAP file an episode into it.
     sandbox: run the controller in a process of its own; require: refuse to without full walls.
@@ -102,6 +105,7 @@ class LsyRun:
         *,
         episodes: int = 1,
         seed: int | None = None,
+        secret: bool = False,
         out: Path | None = None,
         keep: bool = False,
         record: bool = True,
@@ -110,6 +114,11 @@ class LsyRun:
         console: Console | None = None,
     ) -> None:
         self.level: LsyLevel = load_lsy_level(level, overrides)
+        if self.level.profile is LsyProfile.ARENA:
+            raise InputError(
+                f"level {level}: profile arena is flown by crazyarena dry-run, bench and fly; an "
+                "evaluation is one in lsy_drone_racing's own simulation"
+            )
         path = submission.expanduser()
         if not path.exists():
             raise InputError(f"{path}: no such file or folder. Pass the file of a controller")
@@ -120,8 +129,7 @@ class LsyRun:
                 f"level {level} needs. Pass the file of such a controller"
             )
         self._file = file.resolve()
-        wanted = self.level.env.seed if seed is None else seed
-        self.seed = fresh_seed() if wanted < 0 else wanted
+        self.seed = self._settled(seed, secret)
         self._episodes = episodes
         self.out = out
         self._keep = keep
@@ -130,9 +138,19 @@ class LsyRun:
         self._cut_short: str | None = None
         self._record = record
         self.isolated = False
-        self._sandbox = sandbox
+        self._sandbox = sandbox or secret
         self._require = require_sandbox
         self._console = console if console is not None else Console()
+
+    def _settled(self, given: int | None, secret: bool) -> int:
+        """The seed of the draws."""
+        if secret:
+            if given is not None:
+                raise InputError("--seed and --secret exclude each other")
+            refuse_short_keys(self.level)
+            return secret_seed()
+        wanted = self.level.env.seed if given is None else given
+        return fresh_seed() if wanted < 0 else wanted
 
     def run(self) -> LsyResult:
         """Fly; write ``result.json`` if there is a folder for it."""

@@ -18,7 +18,6 @@ from crazyarena.runner.cli.common import (
     Out,
     Overrides,
     bad_input_exits,
-    not_of_lsy,
 )
 from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
@@ -59,7 +58,7 @@ def register(app: typer.Typer) -> None:
 @takes(vehicle=vehicle_choice, options=flight_options, stops=flight_stops, view=view_options)
 def bench(
     submission: AnySubmission = None,
-    level: ArenaLevel = "sim2real",
+    level: ArenaLevel = None,
     runs: Annotated[int, typer.Option(min=1, max=100, help="How many, on the same draw.")] = 1,
     seed: Annotated[
         int | None,
@@ -105,14 +104,15 @@ def bench(
 
         from rich.console import Console
 
-        from crazyarena.levels import load_level
         from crazyarena.runner.bench import Bench
+        from crazyarena.runner.dry_run import example_racer
         from crazyarena.runner.records import compare as comparing
         from crazyarena.runner.rig.cameras import numeric, parse_options
+        from crazyarena.runner.trial.entry import default_level, enter
 
         console = Console()
-        not_of_lsy(submission)
-        loaded = load_level(level, set_ or [])
+        level = level or default_level(submission, "sim2real", "lsy/level2")
+        loaded = enter(submission or example_racer(), level, set_ or []).level
         stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
         folder = out if out is not None else Path("runs") / f"{stamp}-bench-{loaded.name}"
         folder.mkdir(parents=True, exist_ok=True)

@@ -100,10 +100,11 @@ def dry_run(
         if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options, view()):
             return
         from crazyarena.runner.dry_run import DryRun
+        from crazyarena.runner.trial.entry import default_level
 
         run = DryRun(
             submission=submission,
-            level=level or "level0",
+            level=level or default_level(submission),
             overrides=set_ or [],
             episodes=episodes,
             seed=seed,
@@ -152,6 +153,13 @@ def _flew_lsy(
                 f"{file}: a controller of lsy_drone_racing; level {level} is none of its levels. "
                 "Pass --level lsy/level0 ... lsy/level3, or a TOML file"
             )
+    from crazyarena.levels.lsy import load_lsy_level
+    from crazyarena.levels.lsy.schema import LsyProfile
+
+    if submission is not None:
+        wanted = load_lsy_level(level or "lsy/level0", overrides)
+        if wanted.profile is LsyProfile.ARENA:
+            return False
     if submission is None:
         raise InputError(
             f"level {level}: pass the file of a lsy_drone_racing controller, such as "
@@ -161,11 +169,6 @@ def _flew_lsy(
         raise InputError(
             "--view: flights of lsy_drone_racing are not shown live; leave it out, and then: "
             "crazyarena replay with the results folder"
-        )
-    if options.secret:
-        raise InputError(
-            "--secret: levels of lsy_drone_racing draw from 31 bits; use --sandbox "
-            "--set env.seed=-1"
         )
     if options.budget != type(options.budget)():
         raise InputError(
@@ -177,6 +180,7 @@ def _flew_lsy(
             f"--compute {options.compute}: in lsy_drone_racing's simulation thinking costs no "
             "time; leave it out"
         )
+    options.check()
     from rich.console import Console
 
     from crazyarena.runner.lsy_run import LsyRun, tell
@@ -191,6 +195,7 @@ def _flew_lsy(
         seed=seed,
         out=out,
         keep=True,
+        secret=options.secret,
         record=record,
         sandbox=bool(options.sandbox) or options.require_sandbox,
         require_sandbox=options.require_sandbox,
@@ -200,10 +205,9 @@ def _flew_lsy(
     tell(result, console)
     if not run.isolated:
         console.print(NOT_ISOLATED, markup=False, highlight=False, soft_wrap=True)
+    told = "The seed is secret" if options.secret else f"Seed {result.seed}"
     where = shown_line(str(run.out))
-    console.print(
-        f"Seed {result.seed}. Results in {where}", highlight=False, markup=False, soft_wrap=True
-    )
+    console.print(f"{told}. Results in {where}", highlight=False, markup=False, soft_wrap=True)
     if result.cut_short is not None:
         raise StorageError(result.cut_short)
     if not result.clean:

@@ -172,6 +172,9 @@ def _write_args(row: NDArray[np.float64], at: int, command: cs.Command | None) -
         case cs.Position():
             row[at : at + 3] = command.position
             row[at + 3] = command.yaw
+        case cs.RollPitchYawThrust():
+            row[at + 6 : at + 9] = command.roll, command.pitch, command.yaw
+            row[at + 10] = command.thrust
         case cs.VelocityWorld():
             row[at : at + 3] = command.velocity
             row[at + 3] = command.yaw_rate
@@ -350,7 +353,13 @@ class Recorder:
                 writer = mcap_file.McapWriter(stream, self._channels)
                 writer.metadata("crazyarena", self._metadata)
                 verbs = {f"asked {number}": name for name, number in VERBS.items()}
-                verbs |= {f"sent {number}": kind.__name__ for kind, number in _KIND_NUMBER.items()}
+                sent = set(self._commands.rows[:, _CM_SENT].tolist())
+                verbs |= {
+                    f"sent {number}": kind.__name__
+                    for kind, number in _KIND_NUMBER.items()
+                    # Recordings without it stay as they always were.
+                    if kind is not cs.RollPitchYawThrust or number in sent
+                }
                 writer.metadata("verbs", verbs)
                 writer.chunk(self._batches([0] * _VEHICLE, counts))
                 writer.finish()

@@ -119,10 +119,7 @@ class Sandboxed:
     @property
     def announcement(self) -> str:
         """What is in force, for the terminal."""
-        walls = ", ".join(self.description["sandbox"]) or "none"
-        missing = self.description["missing"]
-        text = f"Contestant in its own process; sandbox: {walls}"
-        return text if not missing else f"{text}. NOT shut off: {', '.join(missing)}"
+        return announcement(self.description)
 
     # Contestant
 
@@ -493,6 +490,14 @@ class Sandboxed:
     def _last_words(self) -> str:
         words = shown(self._box.last_output()).strip()
         return f"\nIts last output:\n{words}" if words else ""
+
+
+def announcement(description: dict[str, Any]) -> str:
+    """What is in force, for the terminal, of a contestant in a process of its own."""
+    walls = ", ".join(description["sandbox"]) or "none"
+    missing = description["missing"]
+    text = f"Contestant in its own process; sandbox: {walls}"
+    return text if not missing else f"{text}. NOT shut off: {', '.join(missing)}"
 
 
 class _Dead(Exception):
