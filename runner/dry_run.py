@@ -306,7 +306,7 @@ class DryRun:
         sandboxed = options.sandboxed(self._level)
         contestant = self.entry.contestant(options, self.out / "work", sandboxed)
         if sandboxed:
-            from crazyarena.runner.contestant.sandbox.process import announcement
+            from crazyarena.runner.contestant.sandbox.announcement import announcement
 
             self._print(announcement(contestant.description))
         return contestant

@@ -26,6 +26,7 @@ from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.dialogue import Answer, Question
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.contestant.sandbox import bubblewrap, quota, wire
+from crazyarena.runner.contestant.sandbox.announcement import announcement
 from crazyarena.runner.contestant.sandbox.box import Box
 from crazyarena.runner.contestant.sandbox.confine import may_mount, open_to_others, readable
 from crazyarena.runner.contestant.sandbox.limits import Limits
@@ -490,14 +491,6 @@ class Sandboxed:
     def _last_words(self) -> str:
         words = shown(self._box.last_output()).strip()
         return f"\nIts last output:\n{words}" if words else ""
-
-
-def announcement(description: dict[str, Any]) -> str:
-    """What is in force, for the terminal, of a contestant in a process of its own."""
-    walls = ", ".join(description["sandbox"]) or "none"
-    missing = description["missing"]
-    text = f"Contestant in its own process; sandbox: {walls}"
-    return text if not missing else f"{text}. NOT shut off: {', '.join(missing)}"
 
 
 class _Dead(Exception):
