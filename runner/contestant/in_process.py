@@ -149,6 +149,9 @@ class InProcess:
             )
             seconds = time.perf_counter() - started
             return Answer(question.step, None, text, seconds, timed_out=True)
+        except KeyboardInterrupt as raised:
+            text = f"step {question.step}: it raised\n{self._own(raised)}"
+            return Answer(question.step, None, text, time.perf_counter() - started)
         finally:
             limit.end()
             interrupt.in_controller = False
@@ -160,6 +163,14 @@ class InProcess:
         except TimeIsUp as late:
             text = f"{name} did not return within {self._hook_timeout:g} s\n{own_traceback(late)}"
             return self._hook_timeout, text
+        except KeyboardInterrupt as raised:
+            return 0.0, f"{name} raised\n{self._own(raised)}"
+
+    def _own(self, raised: KeyboardInterrupt) -> str:
+        """Traceback of what the controller itself has raised; raises on what somebody asked for."""
+        if self._interrupt.asked:
+            raise raised
+        return own_traceback(raised)
 
     def close(self) -> None:
         self._limit.close()
