@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from crazyarena.errors import InputError
-from crazyarena.levels import load_level
+from crazyarena.levels import dump_level, load_level
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level, Profile
 from crazyarena.plain_text import file_name, shown, shown_line
@@ -210,6 +210,7 @@ class DryRun:
             raise
         self._remove_if_empty(self.out / "work")
         self._draw_figures()
+        self._look_again(result)
         write_result(self.out / "result.json", result, origin)
         console.print(table(result))
         seed = "that is secret" if self._options.secret else self._seed
@@ -232,6 +233,31 @@ class DryRun:
                 figure = self.out / episode.files["figure"]
                 self._print(f"Figure: {shown_line(str(figure))}")
         return result
+
+    def _look_again(self, result: TrialResult) -> None:
+        """Where the contestant could write the result, ask its recordings."""
+        recorded = [episode for episode in result.episodes if "recording" in episode.files]
+        claims = any(episode.completed for episode in recorded)
+        if result.isolated or not claims or self._level.profile is not Profile.COMPETITION:
+            return
+        from crazyarena.runner.records import second_look
+
+        asked = [
+            {
+                "file": str(self.out / episode.files["recording"]),
+                "completed": bool(episode.completed),
+                "gates_passed": int(episode.gates_passed),
+                "collisions": int(episode.collisions),
+                "violations": int(episode.violations),
+            }
+            for episode in recorded
+        ]
+        told = second_look.doubts(dump_level(self._level), asked)
+        for episode, doubt in zip(recorded, told, strict=True):
+            episode.doubt = doubt
+            if doubt:
+                number = episode.index + 1
+                self._print(f"Episode {number} is not borne out by its recording: {doubt}", "red")
 
     def _print(self, text: str, style: str | None = None) -> None:
         self._console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
