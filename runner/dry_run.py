@@ -221,6 +221,7 @@ class DryRun:
 
     def _report(self, result: TrialResult) -> None:
         console, origin = self._console, self._origin
+        self._look_again(result)
         document = result_document(result, origin)
         try:
             self._results.finish(document)
@@ -273,6 +274,17 @@ class DryRun:
             self._show.attach(world.rig)
         if not self._controlled:
             self._view.await_browser()
+
+    def _look_again(self, result: TrialResult) -> None:
+        """Where the contestant could write the result, ask its recordings."""
+        recorded = [episode for episode in result.episodes if "recording" in episode.files]
+        claims = any(episode.completed for episode in recorded)
+        if result.isolated or not claims or self._level.profile is not Profile.COMPETITION:
+            return
+        from crazyarena.runner.records.second_look import look_again
+
+        for doubt in look_again(self._level, self.out, recorded):
+            self._print(doubt, "red")
 
     def _print(self, text: str, style: str | None = None) -> None:
         self._console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
