@@ -40,6 +40,7 @@ class Fly(DryRun):
     stops: what stops the flight besides the watchdog.
     waive: lines of the pre-flight checklist that must not ground the vehicle.
     uri: link of the vehicle, if there are people to try the emergency stop and tip it by hand.
+    onboard: the poses are the vehicle's own estimate; what stands in the arena nobody sees.
 
     Raises
     ------
@@ -57,6 +58,7 @@ class Fly(DryRun):
         stops: StopOptions | None = None,
         waive: Sequence[str] = (),
         uri: str | None = None,
+        onboard: bool = False,
         **options: Any,
     ) -> None:
         options.setdefault("pace", 0.0)  # the clock's own
@@ -68,6 +70,16 @@ class Fly(DryRun):
             )
         if self._options.sandbox is False:
             raise InputError("fly: a contestant never shares the process of a vehicle's link")
+        if onboard and self._level.track.tracked:
+            raise InputError(
+                f"level {self._level.name}: gates that move have to be seen; --mocap onboard sees "
+                "none"
+            )
+        if onboard and uri is not None and surveyed is None and self._level.track.gates:
+            raise InputError(
+                "--mocap onboard: no cameras measure the track; --survey FILE. crazyarena "
+                "arena-check LEVEL --track FILE writes one to be corrected by hand"
+            )
         self._open_rig = open_rig
         self._yes = yes
         self._surveyed: dict[str, Pose] | None = None if surveyed is None else read_track(surveyed)
@@ -90,6 +102,8 @@ class Fly(DryRun):
             uri=self._uri,
             out=self.out,
             say=lambda text: self._tell(Phase.PREFLIGHT, text),
+            vehicle=self.model,
+            surveyed=self._surveyed,
         )
         crew = Crew(
             world.rig,

@@ -26,6 +26,7 @@ from crazyarena.runner.cli.options.mocap import OPTION_HELP
 from crazyarena.runner.cli.options.stops import Waive, flight_stops
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 from crazyarena.runner.cli.options.view import view_options
+from crazyarena.whole_file import write_whole
 
 if TYPE_CHECKING:
     from crazyarena.runner.rig.stops import StopOptions
@@ -35,12 +36,13 @@ if TYPE_CHECKING:
 
 
 class CameraChoice(StrEnum):
-    """What the cameras speak."""
+    """What the cameras speak; ``onboard`` is a vehicle that knows its place by a deck."""
 
     ZENOH = "zenoh"
     QUALISYS = "qualisys"
     NATNET = "natnet"
     VRPN = "vrpn"
+    ONBOARD = "onboard"
 
 
 class LinkChoice(StrEnum):
@@ -75,7 +77,8 @@ def bench(
         float | None, typer.Option(min=10.0, max=500.0, metavar="HZ", help="Camera frames.")
     ] = None,
     mocap: Annotated[
-        CameraChoice, typer.Option(help="What the emulated cameras speak.")
+        CameraChoice,
+        typer.Option(help="What the cameras speak; onboard: none, but a deck."),
     ] = CameraChoice.ZENOH,
     mocap_option: Annotated[
         list[str] | None, typer.Option(metavar="KEY=VALUE", help=OPTION_HELP)
@@ -139,10 +142,14 @@ def bench(
         if result.comparison is not None:
             console.print(comparing.table(result.comparison))
             summary = {**result.comparison.summary(), "arenas": result.arenas}
-            (folder / "compare.json").write_text(json.dumps(summary, indent=2) + "\n")
+            write_whole(folder / "compare.json", json.dumps(summary, indent=2) + "\n")
             if figure:
                 comparing.save_figure(folder / "compare.png", result.comparison)
                 console.print(f"Figure: {folder / 'compare.png'}", highlight=False, soft_wrap=True)
+        for reason in (result.uncompared, result.aborted):
+            if reason is not None:
+                text = f"bench: {reason.removeprefix('compare: ')}"
+                console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
         run.finish()
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.cli.common import (
     EXIT_NOT_CLEAN,
     Secret,
@@ -135,7 +136,7 @@ def _flew_lsy(
     looks_like = submission is not None or (level or "").endswith(".toml")
     if not looks_like and not (level or "").startswith("lsy/"):
         return False
-    from crazyarena.errors import InputError
+    from crazyarena.errors import InputError, StorageError
     from crazyarena.levels.lsy import is_lsy_level
 
     foreign = level is not None and is_lsy_level(level)
@@ -166,6 +167,11 @@ def _flew_lsy(
             "--secret: levels of lsy_drone_racing draw from 31 bits; use --sandbox "
             "--set env.seed=-1"
         )
+    if options.budget != type(options.budget)():
+        raise InputError(
+            "--step-limit, --episode-limit, --trial-limit: levels of lsy_drone_racing have none of "
+            "them; leave them out"
+        )
     if options.compute not in (None, "free"):
         raise InputError(
             f"--compute {options.compute}: in lsy_drone_racing's simulation thinking costs no "
@@ -173,7 +179,6 @@ def _flew_lsy(
         )
     from rich.console import Console
 
-    from crazyarena.runner.dry_run import results_folder
     from crazyarena.runner.lsy_run import LsyRun, tell
     from crazyarena.runner.records.report import NOT_ISOLATED
 
@@ -184,17 +189,23 @@ def _flew_lsy(
         overrides,
         episodes=episodes or 1,
         seed=seed,
+        out=out,
+        keep=True,
         record=record,
         sandbox=bool(options.sandbox) or options.require_sandbox,
         require_sandbox=options.require_sandbox,
         console=console,
     )
-    run.out = results_folder(out, submission, run.level.name)
     result = run.run()
     tell(result, console)
     if not run.isolated:
         console.print(NOT_ISOLATED, markup=False, highlight=False, soft_wrap=True)
-    console.print(f"Seed {result.seed}. Results in {run.out}", highlight=False, soft_wrap=True)
+    where = shown_line(str(run.out))
+    console.print(
+        f"Seed {result.seed}. Results in {where}", highlight=False, markup=False, soft_wrap=True
+    )
+    if result.cut_short is not None:
+        raise StorageError(result.cut_short)
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)
     return True

@@ -115,8 +115,9 @@ def fly(
     with bad_input_exits():
         from crazyarena.errors import InputError
         from crazyarena.levels.schema import Level
+        from crazyarena.mocap.onboard import KIND as ONBOARD
         from crazyarena.runner.fly import Fly
-        from crazyarena.runner.rig.cameras import named_source
+        from crazyarena.runner.rig.cameras import deck_of, named_source
         from crazyarena.runner.rig.rig import Rig, simulated
         from crazyarena.runner.trial.checklist import check_waivers
         from crazyarena.safety.limits import Limits
@@ -137,6 +138,9 @@ def fly(
         name = body or f"cf{ident}"
         check_waivers(waive or (), name)
         stopped_by = stops(name)
+        source = (
+            None if mocap is None else named_source(mocap, mocap_host, mocap_option or [], real)
+        )
         if not real:
             # Simulated time runs faster than anybody's hand.
             if stopped_by != stopped_by.only_local():
@@ -145,21 +149,22 @@ def fly(
 
         def open_rig(loaded: Level, limits: Limits) -> Rig:
             if not real:
-                return simulated(loaded, run.seed, limits=limits, supply=run.supply)
+                return simulated(
+                    loaded, run.seed, limits=limits, supply=run.supply, deck=deck_of(source)
+                )
             from crazyarena.runner.rig.flight_process.client import connected
 
             assert uri is not None
-            assert mocap is not None
-            kind = mocap
+            assert source is not None
             return connected(
                 loaded,
                 uri,
-                named_source(kind, mocap_host, mocap_option or []),
+                source,
                 vehicle=ident,
                 body=body,
                 limits=limits,
                 real_time=real_time,
-                description={"mocap": kind, "mocap_host": mocap_host, "world": "arena"},
+                description={"mocap": source.kind, "mocap_host": mocap_host, "world": "arena"},
                 model=run.model,
                 plant_log=plant_log,
             )
@@ -182,6 +187,7 @@ def fly(
             stops=stopped_by,
             waive=waive or (),
             uri=uri if real else None,
+            onboard=mocap == ONBOARD,
             vehicle=VehicleChoice(vehicle, tuple(vehicle_set or ())),
             spread=vehicle_spread,
             view=view(),

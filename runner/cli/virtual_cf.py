@@ -79,12 +79,20 @@ def virtual_cf(
         int, typer.Option(help="UDP port on which programs with virtual dongles find the air.")
     ] = 19840,
     table: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="Whose parameters and log variables: cf21 (Crazyflie 2.1 and 2.1+), cf21b "
-            "(2.1 Brushless) or recorded (a simulation build, for replaying its recordings)."
+            "(2.1 Brushless) or recorded (a simulation build, for replaying its recordings). "
+            "Default: by the vehicle."
         ),
-    ] = "cf21",
+    ] = None,
+    deck: Annotated[
+        str | None,
+        typer.Option(
+            help="Positioning deck on every vehicle, lighthouse or flow: they know their place by "
+            "themselves, with the errors of such a deck."
+        ),
+    ] = None,
     fleet: Annotated[
         str | None,
         typer.Option(
@@ -97,7 +105,7 @@ def virtual_cf(
 
     Any CRTP client finds them, e.g. cflib with udp://127.0.0.1:19850; with --radio, any program
     under crazyarena with-virtual-radio, as radio://0/80/2M/E7E7E7E701. The estimator knows only
-    the poses that clients send (or --feed-poses). While it runs, standard input takes
+    the poses that clients send (or --feed-poses, or --deck). While it runs, standard input takes
     "loss 5%", "latency 8ms±3ms", "battery 3.2V", "cut 2s", "reboot" and "status", with --radio
     also "unplug 0", "plug 0" and "noise 80 30%"; "cf2 loss 5%" means that vehicle alone.
     Ends at Ctrl-C or SIGTERM.
@@ -136,6 +144,7 @@ def virtual_cf(
                 dongles=dongles,
                 radio_port=radio_port,
                 table=table,
+                deck=deck,
                 fleet=fleet,
             )
         )

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -50,21 +51,12 @@ _ENDS_RENEWED = (INTERRUPTED, ABORTED)
 _FAILED = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT)
 
 
-def require_firmware(level: Level) -> None:
-    """Raise InputError for a level that asks for the mode without firmware."""
-    if not level.use_firmware:
-        raise InputError(
-            f"level {level.name}: use_firmware is false; only firmware mode (cmdFirmware) "
-            "can be flown. Set use_firmware: true"
-        )
-
-
 class Trial:
     """Flies ``episodes`` episodes of a level with one contestant.
 
     Parameters
     ----------
-    level: with ``use_firmware`` (the contestant's ``cmdSimOnly`` has no counterpart here).
+    level: what is flown.
     contestant: loaded; the caller closes it.
     world: not reset yet; the caller closes it.
     staging: what surrounds a run; nothing by default.
@@ -95,7 +87,6 @@ class Trial:
         wall: Clock | None = None,
         show: Showing | None = None,
     ) -> None:
-        require_firmware(level)
         self._level = level
         self._contestant = contestant
         self._world = world
@@ -112,6 +103,7 @@ class Trial:
         self._made = self._flown = False
         self._last_endings = _ENDS_RENEWED if self._staging.renews else _ENDS_TRIAL
         self._thought = 0.0  # s of wall time, by the contestant
+        self._cut_short: str | None = None
 
     def run(self) -> TrialResult:
         """Fly; raises InputError when the controller cannot be constructed."""
@@ -124,7 +116,7 @@ class Trial:
             for index in range(self._episodes):
                 result, obs = self._episode(index, random.reset(), referee, obs, interrupt)
                 results.append(result)
-                if interrupt.asked or result.termination in self._last_endings:
+                if interrupt.asked or self._cut_short or result.termination in self._last_endings:
                     break
                 if index + 1 < self._episodes:
                     if result.termination in _FAILED:
@@ -134,7 +126,7 @@ class Trial:
                     self._hook("interEpisodeReset", result, interrupt)
                     if result.termination != flown:
                         break
-        return TrialResult(results, self._episodes)
+        return TrialResult(results, self._episodes, cut_short=self._cut_short)
 
     def _episode(
         self,
@@ -173,6 +165,7 @@ class Trial:
         result.reveals = staging.reveals
         result.phases = staging.durations
         if recorder is not None and recorder.file is not None:
+            self._cut_short = recorder.trouble
             result.files["recording"] = recorder.file.name
         if result.termination not in _ENDS_TRIAL:
             result.interepisode_learning_time = self._hook("interEpisodeLearn", result, interrupt)
@@ -271,6 +264,11 @@ class Trial:
         self._thought += seconds
         return seconds
 
+    @cached_property
+    def _level_file(self) -> str:
+        # Once a trial: writing YAML takes as long as a few seconds of flight.
+        return dump_level(self._level)
+
     def _recorder(
         self, index: int, draw: Draw, track: MeasuredTrack, start: np.ndarray
     ) -> Recorder | None:
@@ -279,7 +277,7 @@ class Trial:
         metadata = {
             "crazyarena": __version__,
             "level": self._level.name,
-            "level_file": dump_level(self._level),
+            "level_file": self._level_file,
             "seed": str(self._seed),
             "episode": str(index),
             "submission_sha256": self._contestant.digest,

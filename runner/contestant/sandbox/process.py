@@ -74,6 +74,10 @@ class Sandboxed:
     ) -> None:
         self.path = submission.expanduser().resolve()
         self._limits = limits or Limits()
+        self._require = require
+        self._begin()
+
+    def _begin(self) -> None:
         self._step: int | None = None
         self._ticket = 0
         self._asked_at = 0.0
@@ -86,13 +90,21 @@ class Sandboxed:
         self._shown, self.digest, self._box = self._copied()
         try:
             self._start()
-            self.description = self._await_ready(require)
+            self.description = self._await_ready(self._require)
             self._request(
                 "load", self._loading(), self._limits.make_timeout, "importing the submission"
             )
         except BaseException:
             self.close()
             raise
+
+    def _renew(self) -> None:
+        """A process that has ended, or was ended, is followed by one that knows nothing of it."""
+        flown = self.digest
+        self.close()
+        self._begin()
+        if self.digest != flown:
+            raise InputError(f"{self._shown}: changed while it was flown; fly it again")
 
     def _copied(self) -> tuple[Path, str, Box]:
         """File to name in messages, digest, and the box with a copy of the submission."""
@@ -125,9 +137,10 @@ class Sandboxed:
         track = level.track.model_copy(update={"gates": still})
         public = level.model_copy(update={"seed": 0, "track": track})
         payload = (obs, public, start)
-        if self._step is not None:
-            # An earlier episode ended without the answer to its last question.
-            self.wait(self._limits.make_timeout)
+        if self._step is not None and self.wait(self._limits.make_timeout) is None:
+            self.kill()  # it still thinks about the last question of an earlier episode
+        if self._process is None or self._process.poll() is not None:
+            self._renew()
         self._request("make", payload, self._limits.make_timeout, "Controller(...)")
 
     def ask(self, question: Question) -> None:
