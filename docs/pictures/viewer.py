@@ -26,7 +26,7 @@ sys.path.insert(0, str(ROOT))
 from tests.browser import browser, open_tab, press, text  # noqa: E402
 
 WIDE, PHONE = (1180, 820), (390, 844)
-_PATIENCE = 120.0  # s
+_PATIENCE = 400.0  # s; browsers that render in software are slow beside others
 _COLOURS = 128
 _SOFTWARE = "Software WebGL rendering detected"
 
