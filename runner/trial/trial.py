@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from crazyarena import __version__
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels import dump_level
@@ -36,7 +35,7 @@ from crazyarena.runner.judging.result import (
     EpisodeResult,
     TrialResult,
 )
-from crazyarena.runner.records.recorder import Recorder
+from crazyarena.runner.records.recorder import SINCE, Recorder
 from crazyarena.runner.records.scene import scene_update
 from crazyarena.runner.trial.control_loop import ControlLoop, Deadlines
 from crazyarena.runner.trial.options import FlightOptions
@@ -275,7 +274,7 @@ class Trial:
         if self._out is None and not self._keep_states:
             return None
         metadata = {
-            "crazyarena": __version__,
+            "crazyarena": SINCE,
             "level": self._level.name,
             "level_file": self._level_file,
             "seed": str(self._seed),
