@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from crazyarena import __version__
 from crazyarena.clock import WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels.lsy import LsyLevel, load_lsy_level
@@ -34,7 +33,7 @@ from crazyarena.runner.judging.lsy_rules import LsyReferee
 from crazyarena.runner.judging.result import CONTROLLER_ERROR, INTERRUPTED
 from crazyarena.runner.records.lsy_scene import lsy_scene
 from crazyarena.runner.records.outcome_table import computing
-from crazyarena.runner.records.recorder import Recorder
+from crazyarena.runner.records.recorder import SINCE, Recorder
 from crazyarena.runner.records.report import machine, versions
 from crazyarena.runner.records.run_folder import ResultFile, run_folder
 from crazyarena.runner.trial.lsy_episode import COMMAND_LAYOUT, LsyEpisode, LsyEpisodeResult
@@ -228,7 +227,7 @@ class LsyRun:
     def _recorder(self, index: int, draw: LsyDraw) -> Recorder:
         assert self.out is not None
         metadata = {
-            "crazyarena": __version__,
+            "crazyarena": SINCE,
             "level": self.level.name,
             "level_file": json.dumps(self.level.config),
             "rng": str(self.level.rng.value),

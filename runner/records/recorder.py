@@ -28,6 +28,10 @@ from crazyarena.runner.timing.rows import Rows
 from crazyarena.sim_backend.trace import TR_TIME, TRACE_SIZE
 from crazyarena.whole_file import whole_file
 
+SINCE = "0.1.0"
+"""First version that wrote recordings like these: the same flight gives the same bytes in each
+version since. Which one wrote a recording is in the ``result.json`` beside it."""
+
 # Kinds of commands sent, by number: 0 is "nothing sent".
 SENT_KINDS: tuple[type, ...] = get_args(cs.Command)
 _KIND_NUMBER = {kind: i + 1 for i, kind in enumerate(SENT_KINDS)}

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from crazyarena import __version__
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels.draw import Draw
@@ -34,7 +33,7 @@ from crazyarena.runner.judging.result import (
     EpisodeResult,
     TrialResult,
 )
-from crazyarena.runner.records.recorder import Recorder
+from crazyarena.runner.records.recorder import SINCE, Recorder
 from crazyarena.runner.trial.contract import Contract, Contract2022
 from crazyarena.runner.trial.control_loop import ControlLoop, Deadlines
 from crazyarena.runner.trial.options import FlightOptions
@@ -280,7 +279,7 @@ class Trial:
         if self._out is None and not self._keep_states:
             return None
         metadata = {
-            "crazyarena": __version__,
+            "crazyarena": SINCE,
             **self._contract.metadata(draw, track, start),
             "seed": str(self._seed),
             "episode": str(index),
