@@ -11,6 +11,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from crazyarena.mocap.cadence import Cadence
 from crazyarena.mocap.rotations import angle_between
 from crazyarena.plain_text import shown_line
 from crazyarena.types import Pose, PoseFrame, Vector
+from crazyarena.whole_file import write_whole
 
 FORMAT = "crazyarena-measured-track"
 VERSION = 1
@@ -30,12 +32,23 @@ _SLOWEST = 4  # frames from one sight of a body to the next, at most
 
 @dataclass(frozen=True, slots=True)
 class Allowed:
-    """How far a body may be from nominal: ``(low, high)`` of x, y, z in m and of yaw in rad."""
+    """How far a body may be from nominal: ``(low, high)`` of x, y, z in m and of yaw in rad.
+
+    roll, pitch: the same of the fixed-axis angles, rad, for what need not stand upright; None:
+    it must.
+    """
 
     x: tuple[float, float]
     y: tuple[float, float]
     z: tuple[float, float]
     yaw: tuple[float, float]
+    roll: tuple[float, float] | None = None
+    pitch: tuple[float, float] | None = None
+
+    @property
+    def leans(self) -> bool:
+        """Whether it need not stand upright."""
+        return self.roll is not None or self.pitch is not None
 
 
 def misplaced(
@@ -55,14 +68,30 @@ def misplaced(
                 f"stands {value * 1e2:+.1f} cm from its nominal place in {axis}; "
                 f"{low * 1e2:+.1f} to {high * 1e2:+.1f} cm are allowed"
             )
-    low, high = allowed.yaw
-    turn = _turned(pose, nominal, full_turn)
-    if not low <= turn <= high:
-        return (
-            f"is turned by {math.degrees(turn):+.1f} degrees against nominal; "
-            f"{math.degrees(low):+.1f} to {math.degrees(high):+.1f} are allowed"
-        )
+    turns = [("turned", _turned(pose, nominal, full_turn), allowed.yaw)]
+    if allowed.leans:
+        (roll, pitch), (level_roll, level_pitch) = _lean(pose.quaternion), _lean(nominal.quaternion)
+        upright = (0.0, 0.0)
+        turns += [
+            ("rolled", _wrap(roll - level_roll, 2.0 * math.pi), allowed.roll or upright),
+            ("pitched", pitch - level_pitch, allowed.pitch or upright),
+        ]
+    for how, turn, (low, high) in turns:
+        if not low <= turn <= high:
+            return (
+                f"is {how} by {math.degrees(turn):+.1f} degrees against nominal; "
+                f"{math.degrees(low):+.1f} to {math.degrees(high):+.1f} are allowed"
+            )
     return None
+
+
+def _lean(quaternion: Vector) -> tuple[float, float]:
+    """Fixed-axis roll and pitch, rad."""
+    x, y, z, w = quaternion.tolist()
+    return (
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),
+    )
 
 
 def _turned(pose: Pose, nominal: Pose, full_turn: bool) -> float:
@@ -238,7 +267,7 @@ def _measure(
         )
     elif not moving and (wrong := misplaced(pose, nominal, config.rule(name), config.full_turn)):
         problem = f"{name} {wrong}"
-    elif tilt > config.tilt_tolerance:
+    elif tilt > config.tilt_tolerance and not config.rule(name).leans:
         problem = f"{name} leans by {math.degrees(tilt):.1f} degrees; straighten it"
     return SurveyedBody(name, pose, seen, deviation, yaw, tilt, spread, problem)
 
@@ -258,12 +287,31 @@ def write_track(path: str | Path, report: SurveyReport, level: str = "") -> None
         for b in report.bodies
         if b.pose is not None
     }
+    _write(path, bodies, level)
+
+
+def write_taped(path: str | Path, poses: Mapping[str, Pose], level: str = "") -> None:
+    """Write a track as people measure it without cameras, to be corrected by hand: place (m) and
+    ``yaw`` (rad) of each body."""
+    bodies = {}
+    for name, pose in poses.items():
+        x, y, z, w = pose.quaternion.tolist()
+        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        place = [round(float(value), 4) for value in pose.position]
+        bodies[name] = {"position": place, "yaw": round(yaw, 5)}
+    _write(path, bodies, level)
+
+
+def _write(path: str | Path, bodies: Mapping[str, Any], level: str) -> None:
     document = {"format": FORMAT, "version": VERSION, "level": level, "bodies": bodies}
-    Path(path).write_text(json.dumps(document, indent=2) + "\n")
+    write_whole(Path(path), json.dumps(document, indent=2) + "\n")
 
 
 def read_track(path: str | Path) -> dict[str, Pose]:
-    """Read a measured track; raises InputError naming file and field."""
+    """Read a measured track; a body has ``position`` (m) and ``quaternion`` or ``yaw`` (rad).
+
+    Raises InputError naming file and field.
+    """
     path = Path(path)
     document = read_json(path, "measured track")
     if not isinstance(document, dict) or (document.get("format"), document.get("version")) != (
@@ -278,7 +326,11 @@ def read_track(path: str | Path) -> dict[str, Pose]:
     for name, body in bodies.items():
         try:
             position = np.array(body["position"], dtype=float)
-            quaternion = np.array(body["quaternion"], dtype=float)
+            if "yaw" in body and "quaternion" not in body:
+                half = 0.5 * float(body["yaw"])
+                quaternion = np.array((0.0, 0.0, math.sin(half), math.cos(half)))
+            else:
+                quaternion = np.array(body["quaternion"], dtype=float)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             what = f"missing {error}" if isinstance(error, KeyError) else str(error)
             raise InputError(f"{path}: body {shown_line(name)}: {shown_line(what)}") from None

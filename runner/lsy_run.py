@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import datetime
 import json
-from collections.abc import Sequence
+import signal
+import threading
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,12 +15,12 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from crazyarena import __version__
 from crazyarena.clock import WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels.lsy import LsyLevel, load_lsy_level
-from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, fresh_seed
-from crazyarena.plain_text import shown, shown_in, shown_line
+from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, fresh_seed, refuse_short_keys
+from crazyarena.levels.lsy.schema import LsyProfile
+from crazyarena.plain_text import shown, shown_line
 from crazyarena.runner.contestant.contract_lsy.dialogue import LsyContestant
 from crazyarena.runner.contestant.contract_lsy.pilot import LsyInProcess
 from crazyarena.runner.contestant.contract_lsy.submission import (
@@ -26,13 +28,16 @@ from crazyarena.runner.contestant.contract_lsy.submission import (
     controller_hash,
     find_controller,
 )
+from crazyarena.runner.contestant.prints import PrintsShown
 from crazyarena.runner.judging.lsy_rules import LsyReferee
 from crazyarena.runner.judging.result import CONTROLLER_ERROR, INTERRUPTED
 from crazyarena.runner.records.lsy_scene import lsy_scene
 from crazyarena.runner.records.outcome_table import computing
-from crazyarena.runner.records.recorder import Recorder
+from crazyarena.runner.records.recorder import SINCE, Recorder
 from crazyarena.runner.records.report import machine, versions
+from crazyarena.runner.records.run_folder import ResultFile, run_folder
 from crazyarena.runner.trial.lsy_episode import COMMAND_LAYOUT, LsyEpisode, LsyEpisodeResult
+from crazyarena.runner.trial.options import secret_seed
 from crazyarena.runner.warm_up import compile_missing
 from crazyarena.sim_backend.successor import SuccessorWorld, nominal
 
@@ -44,11 +49,12 @@ ENOUGH = 0.5
 
 @dataclass
 class LsyResult:
-    """All episodes of a run."""
+    """All episodes of a run; cut_short: what ended it that was no part of the flight."""
 
     episodes: list[LsyEpisodeResult]
     requested: int
     seed: int
+    cut_short: str | None = None
 
     @property
     def success_rate(self) -> float:
@@ -80,7 +86,8 @@ class LsyRun:
     submission: file of a controller of lsy_drone_racing, or a folder with exactly one.
     level: ``lsy/level0`` ... or a TOML file; overrides: see :func:`load_lsy_level`.
     seed: replaces the level's; -1 there means a new one, which is told.
-    out: results folder, or None for none at all.
+    secret: draw from 128 bits that nobody can guess instead; in a process of its own.
+    out: results folder, or None for none at all, unless ``keep``: then a new one under ``runs/``.
     record: write an MCAP file an episode into it.
     sandbox: run the controller in a process of its own; require: refuse to without full walls.
 
@@ -97,13 +104,20 @@ class LsyRun:
         *,
         episodes: int = 1,
         seed: int | None = None,
+        secret: bool = False,
         out: Path | None = None,
+        keep: bool = False,
         record: bool = True,
         sandbox: bool = False,
         require_sandbox: bool = False,
         console: Console | None = None,
     ) -> None:
         self.level: LsyLevel = load_lsy_level(level, overrides)
+        if self.level.profile is LsyProfile.ARENA:
+            raise InputError(
+                f"level {level}: profile arena is flown by crazyarena dry-run, bench and fly; an "
+                "evaluation is one in lsy_drone_racing's own simulation"
+            )
         path = submission.expanduser()
         if not path.exists():
             raise InputError(f"{path}: no such file or folder. Pass the file of a controller")
@@ -114,45 +128,67 @@ class LsyRun:
                 f"level {level} needs. Pass the file of such a controller"
             )
         self._file = file.resolve()
-        wanted = self.level.env.seed if seed is None else seed
-        self.seed = fresh_seed() if wanted < 0 else wanted
+        self.seed = self._settled(seed, secret)
         self._episodes = episodes
         self.out = out
+        self._keep = keep
+        self._path = path
+        self._file_of_results: ResultFile | None = None
+        self._cut_short: str | None = None
         self._record = record
         self.isolated = False
-        self._sandbox = sandbox
+        self._sandbox = sandbox or secret
         self._require = require_sandbox
         self._console = console if console is not None else Console()
+
+    def _settled(self, given: int | None, secret: bool) -> int:
+        """The seed of the draws."""
+        if secret:
+            if given is not None:
+                raise InputError("--seed and --secret exclude each other")
+            refuse_short_keys(self.level)
+            return secret_seed()
+        wanted = self.level.env.seed if given is None else given
+        return fresh_seed() if wanted < 0 else wanted
 
     def run(self) -> LsyResult:
         """Fly; write ``result.json`` if there is a folder for it."""
         console, level = self._console, self.level
         for warning in level.warnings:
             console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
-        if self.out is not None:
-            try:
-                self.out.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise InputError(
-                    f"--out {self.out}: cannot make this folder: {error.strerror}"
-                ) from error
         compile_missing(("successor",), console)
         world = SuccessorWorld(level)
         random = LsyRandom(level, nominal(level), self.seed)
         referee = LsyReferee(level)
-        results: list[LsyEpisodeResult] = []
-        with contextlib.ExitStack() as stack:
-            contestant = self._contestant(stack)
-            stack.callback(contestant.close)
-            for index in range(self._episodes):
-                result = self._episode(index, contestant, world, referee, random.reset())
-                results.append(result)
-                if result.termination in (CONTROLLER_ERROR, INTERRUPTED):
-                    break
-        self.isolated = bool(contestant.description["isolated"])
-        outcome = LsyResult(results, self._episodes, self.seed)
-        if self.out is not None:
-            self._write(outcome, contestant)
+        outcome = LsyResult([], self._episodes, self.seed)
+        if self.out is not None or self._keep:
+            self.out = run_folder(self.out, self._path, level.name)
+            self._file_of_results = ResultFile(self.out, self._document(outcome, None, False))
+        try:
+            with contextlib.ExitStack() as stack:
+                contestant = self._contestant(stack)
+                stack.callback(contestant.close)
+                self.isolated = bool(contestant.description["isolated"])
+                if not self._sandbox:
+                    stack.callback(PrintsShown(lambda: True).close)
+                stack.enter_context(_terminable())
+                for index in range(self._episodes):
+                    result = self._episode(index, contestant, world, referee, random.reset())
+                    outcome.episodes.append(result)
+                    outcome.cut_short = self._cut_short
+                    if self._file_of_results is not None:
+                        document = self._document(outcome, contestant, False)
+                        self._file_of_results.add(asdict(result), document)
+                    if outcome.cut_short or result.termination in (CONTROLLER_ERROR, INTERRUPTED):
+                        break
+        except BaseException:
+            if not outcome.episodes and self._file_of_results is not None:
+                assert self.out is not None
+                self._file_of_results.discard()
+                _remove_if_empty(self.out)
+            raise
+        if self._file_of_results is not None:
+            self._file_of_results.finish(self._document(outcome, contestant, True))
         return outcome
 
     def _contestant(self, stack: contextlib.ExitStack) -> LsyContestant:
@@ -184,13 +220,14 @@ class LsyRun:
             if recorder is not None:
                 recorder.close()
         if recorder is not None and recorder.file is not None:
+            self._cut_short = recorder.trouble
             result.files["recording"] = recorder.file.name
         return result
 
     def _recorder(self, index: int, draw: LsyDraw) -> Recorder:
         assert self.out is not None
         metadata = {
-            "crazyarena": __version__,
+            "crazyarena": SINCE,
             "level": self.level.name,
             "level_file": json.dumps(self.level.config),
             "rng": str(self.level.rng.value),
@@ -207,10 +244,13 @@ class LsyRun:
         scene = lsy_scene(draw.gates, draw.obstacles)
         return Recorder(self.out / f"episode_{index:03d}.mcap", metadata, scene, WallClock())
 
-    def _write(self, result: LsyResult, contestant: LsyContestant) -> None:
-        assert self.out is not None
-        document = {
+    def _document(
+        self, result: LsyResult, contestant: LsyContestant | None, finished: bool
+    ) -> dict[str, Any]:
+        return {
             "format": FORMAT,
+            "finished": finished,
+            "isolated": self.isolated,
             "contract": "lsy_drone_racing",
             **summary(result),
             "episodes": [asdict(episode) for episode in result.episodes],
@@ -224,13 +264,10 @@ class LsyRun:
                 "rng": self.level.rng.value,
                 "seed": self.seed,
                 "submission": str(self._file),
-                "submission_sha256": contestant.digest,
-                "contestant": contestant.description,
+                "submission_sha256": contestant.digest if contestant is not None else None,
+                "contestant": contestant.description if contestant is not None else None,
             },
         }
-        document["isolated"] = self.isolated
-        text = json.dumps(shown_in(document), indent=2)
-        (self.out / "result.json").write_text(text + "\n")
 
 
 def summary(result: LsyResult) -> dict[str, Any]:
@@ -243,6 +280,24 @@ def summary(result: LsyResult) -> dict[str, Any]:
         "episodes_requested": result.requested,
         "seed": result.seed,
     }
+
+
+@contextlib.contextmanager
+def _terminable() -> Iterator[None]:
+    """SIGTERM and a closed terminal end a run as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {}
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            before[number] = signal.signal(number, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _remove_if_empty(folder: Path) -> None:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Collection
+from dataclasses import dataclass, field, fields, replace
 
 from crazyarena.errors import InputError
+from crazyarena.safety.flight_model import FlightModel
 
-PID_BRAKING = 3.5
-# m/s2 by value of ``stabilizer.controller``: 0 chooses the PID, 2 is the Mellinger controller.
-# How others brake has not been measured.
-BRAKING = {0: PID_BRAKING, 1: PID_BRAKING, 2: 6.0}
+_SAGGING = 0.15  # V between the warning about a weak battery and its landing
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,10 +19,12 @@ class Limits:
 
     Attributes
     ----------
-    braking: deceleration, m/s2, that the vehicle is trusted with: 6 with the Mellinger
-        controller, ``PID_BRAKING`` with the cascaded PID controller, which limits its speed
-        rather than following a plan.
-    reaction: time, s, until a command to brake has become deceleration: cameras, radio, and
+    vehicle: how the vehicle follows what it is told (safety/flight_model.py); what is marked (v)
+        below is what :meth:`for_vehicle` makes of it.
+    braking: (v) deceleration, m/s2, that the vehicle is trusted with: 6 with the Mellinger
+        controller, 3.5 with the cascaded PID controller, which limits its speed rather than
+        following a plan; less with motors that have less.
+    reaction: (v) time, s, until a command to brake has become deceleration: cameras, radio, and
         the attitude the vehicle has to take first.
     predicted_margin: m beyond the hard fence up to which the predicted end of a stop is let
         pass: the prediction brakes later and more gently than the watchdog does, and a goal close
@@ -38,7 +39,7 @@ class Limits:
     disagreement: m between cameras and the vehicle's own estimate.
     link_warn, link_hold, link_cut: silence of the vehicle, s.
     quality_warn, quality_land: share of acknowledged packets.
-    battery_warn, battery_land: V, under load.
+    battery_warn, battery_land: (v) V, under load; higher for motors that need more to lift it.
     following, following_land: m between the vehicle and what it was told.
     lost_control: the same while the watchdog flies; then motors are cut.
     controller_warn, controller_hold: s since the contestant's last answer; setpoints that stay
@@ -58,12 +59,19 @@ class Limits:
     land_time: s, within which a landing must be over.
     inside: m, how far inside the fence the watchdog holds and lands.
     return_speed, descent: m/s, of the watchdog's own flight; blind_descent without poses.
-    setpoint_speed, setpoint_acceleration: m/s, m/s2, what the gate lets pass.
+    setpoint_speed, setpoint_acceleration: m/s, m/s2 (v), what the gate lets pass.
     setpoint_step: m, by which one streamed position may differ from the last beyond what speed
         allows; setpoint_lead: m, by which it may be away from the vehicle. Further away, and the
         firmware's position loop tips the vehicle over.
-    setpoint_tilt: rad, of attitude setpoints.
+    setpoint_tilt, setpoint_thrust, setpoint_yaw_rate: of attitude setpoints: rad from upright,
+        share of full thrust, rad/s.
     allow_attitude: attitude setpoints are let through at all; no fence can clamp them.
+    thrust_to_weight: what full thrust is to an attitude setpoint.
+    attitude_reaction: s for which a vehicle flown by attitude goes on as it was told, before a
+        command to brake has turned it round.
+    attitude_loss_margin: m beyond the hard fence up to which a vehicle flown by attitude may come
+        down if the link is lost. It brakes for nobody then, so that what state setpoints keep to
+        (``link_loss_margin``) would leave no room to fly in. inf lets everything pass.
     tune_in_flight: gains, masses and limits of the controllers may be written in flight, within
         a range around their boot values; else they are closed.
     command_rate, command_burst: commands per second, and how many at once.
@@ -132,22 +140,28 @@ class Limits:
     setpoint_step: float = 0.25
     setpoint_lead: float = 0.6
     setpoint_tilt: float = 0.6
+    setpoint_thrust: float = 1.0
+    setpoint_yaw_rate: float = 6.0
     allow_attitude: bool = False
     tune_in_flight: bool = False
     command_rate: float = 200.0
     command_burst: float = 60.0
     link_loss_margin: float = 0.05
     link_delay: float = 0.05
+    vehicle: FlightModel = field(default_factory=FlightModel)
+    thrust_to_weight: float = 2.0
+    attitude_reaction: float = 0.2
+    attitude_loss_margin: float = 2.0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for name in LIMIT_NAMES:
+            value = getattr(self, name)
             if isinstance(value, bool):
                 continue
-            endless = field.name == "link_loss_margin" and value == math.inf
-            none = field.name == "nudge" and value == 0.0
+            endless = name.endswith("loss_margin") and value == math.inf
+            none = name == "nudge" and value == 0.0
             if not (endless or none or (math.isfinite(value) and value > 0.0)):
-                raise InputError(f"safety limit {field.name}: found {value!r}; need a number > 0")
+                raise InputError(f"safety limit {name}: found {value!r}; need a number > 0")
         self._ordered("pose_warn", "pose_hold", "pose_land", "pose_cut")
         self._ordered("link_warn", "link_hold", "link_cut")
         self._ordered("controller_warn", "controller_hold")
@@ -161,6 +175,24 @@ class Limits:
         self._ordered("yaw_warn", "yaw_cut")
         self._ordered("setpoint_speed", "max_speed")
 
+    def for_vehicle(self, vehicle: FlightModel, keep: Collection[str] = ()) -> Limits:
+        """These limits for another vehicle; ``keep`` names those that somebody has set."""
+        standard = Limits()
+        braking = self.braking if "braking" in keep else vehicle.braking
+        land = max(standard.battery_land, vehicle.spent)
+        derived = {
+            "braking": braking,
+            # Never below the standard: what is better than that has not been flown.
+            "reaction": max(standard.reaction, self.link_delay + vehicle.response(braking)),
+            "setpoint_acceleration": min(
+                standard.setpoint_acceleration, max(vehicle.strongest, braking)
+            ),
+            "battery_land": land,
+            "battery_warn": max(standard.battery_warn, land + _SAGGING),
+        }
+        own = {name: value for name, value in derived.items() if name not in keep}
+        return replace(self, vehicle=vehicle, **own)  # type: ignore[arg-type]
+
     def _ordered(self, *names: str) -> None:
         values = [getattr(self, name) for name in names]
         if any(a >= b for a, b in itertools.pairwise(values)):
@@ -168,3 +200,7 @@ class Limits:
                 f"safety limits {', '.join(names)}: found {values}; each must be above the one "
                 "before it"
             )
+
+
+LIMIT_NAMES = tuple(f.name for f in fields(Limits) if f.name != "vehicle")
+"""Fields that are thresholds, to be set one by one."""

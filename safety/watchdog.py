@@ -10,7 +10,6 @@ that hangs or dies stops the vehicles.
 from __future__ import annotations
 
 import math
-import os
 import sys
 import threading
 from collections import deque
@@ -34,6 +33,8 @@ from crazyarena.safety.monitors import Finding
 from crazyarena.safety.neighbours import nearest
 from crazyarena.safety.observation import Observation, Point, as_point
 from crazyarena.safety.old_poses import repeats
+from crazyarena.safety.own_estimate import not_watched
+from crazyarena.safety.priority import raise_priority
 from crazyarena.safety.take_off import TakeOffCheck
 from crazyarena.types import Pose, PoseFrame, Telemetry
 
@@ -103,6 +104,8 @@ class Watchdog:
     props: the same for gates, obstacles and whatever else may be seen.
     grounds: m, height of the standing vehicle's centre by id; 0.03 by default.
     flies: False to watch only, without ever taking over.
+    independent: False if the poses are what the vehicles estimate of themselves: then nothing can
+        contradict them, which an event per vehicle says in the beginning.
     on_event: called with every event, in the thread that runs the step.
     """
 
@@ -122,6 +125,7 @@ class Watchdog:
         props: Iterable[str] = ("gate", "obstacle"),
         grounds: Mapping[int, float] | None = None,
         flies: bool = True,
+        independent: bool = True,
         on_event: Callable[[SafetyEvent], None] | None = None,
     ) -> None:
         unknown = set(bodies.values()) - set(gate.vehicles)
@@ -142,6 +146,7 @@ class Watchdog:
         self._props = tuple(props)
         self._on_event = on_event
         self._flies = flies
+        self._independent = independent
         self._bodies = dict(bodies)
         self._grounds = {v: (grounds or {}).get(v, 0.03) for v in bodies.values()}
         self._lock = threading.Lock()
@@ -177,6 +182,7 @@ class Watchdog:
             self._strangers = 0
             self._lateness: float | None = None
             self._last_step: float | None = None
+            self._limits_told = False
 
     # Told from outside
 
@@ -191,11 +197,15 @@ class Watchdog:
             for name, pose in frame.bodies.items():
                 watched = self._watched.get(name)
                 if watched is not None:
-                    watched.changes(pose, frame.timestamp)
+                    if self._independent:
+                        watched.changes(pose, frame.timestamp)
+                    else:  # digital, so that it may well repeat to the bit
+                        watched.changed = frame.timestamp
                     if name in result.accepted:
                         watched.accepted_once = True
                         watched.doubted_since = None
-                        believed.append((watched, pose))
+                        if self._independent:
+                            believed.append((watched, pose))
                     elif watched.accepted_once and watched.doubted_since is None:
                         watched.doubted_since = frame.received
                 elif name.startswith(self._people):
@@ -225,7 +235,7 @@ class Watchdog:
 
     def _nudged(self, vehicle: int, pose: Pose) -> Pose:
         watched = self._by_vehicle.get(vehicle)
-        if watched is None:
+        if watched is None or not self._independent:
             return pose
         allowed = not watched.guard.action.takes_over
         return watched.heading.nudged(pose, self._clock.now(), allowed)
@@ -291,6 +301,10 @@ class Watchdog:
         gap = 0.0 if self._last_step is None else now - self._last_step
         self._last_step = now
         stopped = self._estop.stopped if self._estop is not None else None
+        if not self._independent and not self._limits_told:
+            self._limits_told = True
+            for watched in self._watched.values():
+                self._tell(not_watched(now, watched.vehicle))
         for watched in self._watched.values():
             try:
                 self._look(watched, now, gap, stopped is not None)
@@ -357,7 +371,7 @@ class Watchdog:
             if watched.doubted_since is not None:
                 obs.doubted = max(now - watched.doubted_since, 1e-6)
             obs.swapped = watched.swapped
-            obs.turned = watched.heading.turned
+            obs.turned = watched.heading.turned if self._independent else None
             watched.swapped = False
             obs.clock_error = self._cameras.error
             obs.camera_rate = self._frames.rate
@@ -366,6 +380,8 @@ class Watchdog:
         believed = estimate.freshness in (Freshness.FRESH, Freshness.BRIDGED)
         believed = believed and obs.pose_age <= self.limits.pose_hold
         self._locate(obs, estimate if believed else None, telemetry, now)
+        if not self._independent:
+            obs.onboard = None
         if telemetry.timestamp > -math.inf and (
             telemetry.battery is not None or telemetry.supervisor is not None
         ):
@@ -374,7 +390,9 @@ class Watchdog:
             obs.battery = telemetry.battery
             obs.supervisor = telemetry.supervisor
         watched.airborne = obs.airborne = self._is_airborne(watched, obs)
-        obs.setpoint = self._gate.reference(vehicle, now)
+        obs.setpoint, obs.setpoint_velocity = self._gate.reference(vehicle, now)
+        if not watched.guard.action.takes_over:
+            obs.pushed = self._gate.pushed(vehicle)
         obs.controller_age = _largest(
             self._gate.stream_age(vehicle, now),
             None if watched.answered is None else now - watched.answered,
@@ -473,21 +491,6 @@ class Watchdog:
             self._wake.notify()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(timeout=1.0)
-
-
-def raise_priority() -> str:
-    """Move the calling thread in front of ordinary ones; returns what the system granted."""
-    thread = threading.get_native_id()
-    try:
-        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(50))
-        return "real-time"
-    except (OSError, AttributeError):
-        pass
-    try:
-        os.setpriority(os.PRIO_PROCESS, thread, -15)
-        return "raised"
-    except (OSError, AttributeError):
-        return "normal"
 
 
 def _largest(*values: float | None) -> float | None:

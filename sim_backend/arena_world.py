@@ -11,8 +11,9 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +21,18 @@ from numpy.typing import NDArray
 from crazyarena.clock import VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.checks import check
+from crazyarena.crazyswarm_compat.positioning import positioning
 from crazyarena.errors import CommandError, InputError
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import GateMotion, Level
 from crazyarena.levels.schema import Vehicle as NominalVehicle
 from crazyarena.mocap.camera_model import CameraModel
+from crazyarena.mocap.onboard import Certainty
 from crazyarena.mocap.sim_source import SimSource
 from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
 from crazyarena.sim_backend.arena_kernel import DT
+from crazyarena.sim_backend.crtp.setpoints import compress_quaternion, decompress_quaternion
+from crazyarena.sim_backend.decks import make_deck
 from crazyarena.sim_backend.physics.competition_step import PLANT_SIZE
 from crazyarena.sim_backend.physics.scene import build_scene, fill_scene
 from crazyarena.sim_backend.vehicles import (
@@ -36,14 +41,16 @@ from crazyarena.sim_backend.vehicles import (
     load_vehicle,
     vehicle_rows,
 )
-from crazyarena.types import Pose, Telemetry
+from crazyarena.types import Pose, Telemetry, VehicleState
 
 Array = NDArray[np.float64]
 
 _STREAMED = (
     c.FullState, c.Position, c.VelocityWorld, c.Hover, c.Attitude, c.CutMotors,
+    c.RollPitchYawThrust,
 )  # fmt: skip
 _RETRY = 0.01  # s, until a lost request is sent again
+ESTIMATE_RATE = 100.0  # Hz, of a vehicle's own estimate by log data
 _SWITCHED_ON = 0.04  # s, period of the firmware's slowest part, the supervisor
 
 
@@ -190,6 +197,21 @@ def _pose(row: Array) -> Pose:
     return Pose(np.array(row[:3], dtype=np.float64), quaternion)
 
 
+class AnyTrack(Protocol):
+    """What an arena is told of a track."""
+
+    @property
+    def moves(self) -> bool: ...
+
+    def scene(self, time: float) -> Array:
+        """Rows for the collision geometry; they may be used again by the next call."""
+        ...
+
+    def bodies(self, time: float) -> dict[str, Pose]:
+        """True poses by the names of the bodies."""
+        ...
+
+
 class Track:
     """Gates and obstacles of a draw, some of the gates perhaps on the move.
 
@@ -234,6 +256,25 @@ def sensor_noise(rows: Rows) -> SensorNoise:
     return SensorNoise(gyro=gyro, accelerometer=accelerometer)
 
 
+def estimates_by_log(link: LinkModel) -> CameraModel:
+    """What becomes of log data on a link, as if a camera system had sent them."""
+    return CameraModel(
+        rate=ESTIMATE_RATE,
+        latency=link.latency,
+        latency_jitter=link.jitter,
+        position_noise=0.0,
+        attitude_noise=0.0,
+        dropout=0.0,
+        frame_loss=link.loss,
+    )
+
+
+def as_logged(state: VehicleState) -> Pose:
+    """A pose as ``stateEstimateZ`` carries it: whole millimetres, a quaternion of 32 bits."""
+    position = np.trunc(1e3 * state.position) * 1e-3
+    return Pose(position, decompress_quaternion(compress_quaternion(state.quaternion.tolist())))
+
+
 def motions(level: Level) -> tuple[GateMotion | None, ...]:
     """How the gates of a level move."""
     return tuple(gate.motion for gate in level.track.gates)
@@ -249,9 +290,13 @@ class SimulatedArena:
     vehicle: id of the vehicle; its body is called ``cf<id>``.
     motions: of the gates, where they move.
     supply: the vehicles that fly, one a :meth:`stage`; the default vehicle if not given.
+    track: builds the track of a draw; gates and obstacles of 2022 by default, with ``motions``.
+    params: firmware parameters by name, written whenever the vehicle was switched on.
     nominal: what a draw's mass (kg) and inertia (kg m2) are offsets from: the numbers of the
         level that is drawn from.
     noise: instead of the vehicle's own.
+    deck: a positioning deck (:mod:`.decks`) instead of the cameras: :attr:`source` then has the
+        vehicle's own estimate, as it would come by log data; what has no radio is not seen.
     """
 
     def __init__(
@@ -265,6 +310,9 @@ class SimulatedArena:
         motions: Sequence[GateMotion | None] = (),
         supply: VehicleSupply | None = None,
         nominal: NominalVehicle | None = None,
+        deck: str | None = None,
+        track: Callable[[Draw], AnyTrack] | None = None,
+        params: Mapping[str, float] | None = None,
     ) -> None:
         for_link, for_cameras, for_sensors, self._for_moments = rng.spawn(4)
         self.clock = VirtualClock()
@@ -281,10 +329,19 @@ class SimulatedArena:
         )
         nominal = nominal or NominalVehicle()
         self._nominal = np.array((nominal.mass, nominal.ixx, nominal.iyy, nominal.izz))
-        self.link = SimulatedLink(self.fleet, self.clock, link or LinkModel(), for_link)
+        link = link or LinkModel()
+        self.link = SimulatedLink(self.fleet, self.clock, link, for_link)
+        self._certainty: Certainty | None = None
+        if deck is not None:
+            (for_deck,) = rng.spawn(1)
+            self.fleet.decks.fit(0, make_deck(deck, for_deck))
+            relative = positioning(lambda name: self.fleet.get_param(0, name)).relative
+            self._certainty = Certainty(relative)
+            cameras = estimates_by_log(link)
         self.source = SimSource(self.clock, None, cameras, for_cameras)
-        self._motions = motions
-        self._track: Track | None = None
+        self._build = track or (lambda draw: Track(draw, motions))
+        self._params = dict(params or {})
+        self._track: AnyTrack | None = None
         self._staged = 0.0
         self._start = -self.fleet.time
         self.clock.stop_at(lambda: self.source.next_event)
@@ -297,7 +354,7 @@ class SimulatedArena:
         # Vehicle, cameras and trial keep time each for itself: nobody makes them start in step,
         # and a frame that just misses a control tick is a whole period old at the next.
         self.clock.sleep_until(self.clock.now() + self._for_moments.uniform(0.0, _SWITCHED_ON))
-        self._track = Track(draw, self._motions)
+        self._track = self._build(draw)
         self._staged = self.fleet.time
         self.fleet.set_scene(self._track.scene(0.0))
         model = vehicle_rows(self._supply.next())
@@ -305,6 +362,8 @@ class SimulatedArena:
         self.fleet.fit(0, model)
         self.fleet.place(0, (x, y, 0.0), float(yaw))
         self.fleet.reboot(0)
+        for name, value in self._params.items():
+            self.fleet.set_param(0, name, value)
         self.link.reset()
 
     def _advance(self, now: float) -> None:
@@ -317,10 +376,25 @@ class SimulatedArena:
             fleet.advance(ticks)
         self.link.deliver(now)
         while self.source.next_exposure <= now:
-            truth = {self.body: fleet.tracked_pose(0)}
-            if track is not None:
-                truth |= track.bodies(fleet.time - self._staged)
-            self.source.expose(self.source.next_exposure, truth)
+            self.source.expose(self.source.next_exposure, self._seen(track))
+
+    def _seen(self, track: AnyTrack | None) -> dict[str, Pose]:
+        fleet = self.fleet
+        if self._certainty is not None:
+            told = fleet.telemetry(0)
+            assert told.state is not None
+            if self._certainty.doubt(told) is not None:
+                return {}
+            return {self.body: as_logged(told.state)}
+        truth = {self.body: fleet.tracked_pose(0)}
+        if track is not None:
+            truth |= track.bodies(fleet.time - self._staged)
+        return truth
+
+    def track_poses(self) -> dict[str, Pose]:
+        """True poses of gates and obstacles, as :func:`track_truth`; none before a stage."""
+        track = self._track
+        return {} if track is None else dict(track.bodies(self.fleet.time - self._staged))
 
     def close(self) -> None:
         self.link.close()

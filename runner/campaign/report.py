@@ -10,7 +10,8 @@ from pathlib import Path
 
 from rich.table import Table
 
-from crazyarena.runner.campaign.faults import FAULTS
+from crazyarena import whole_file
+from crazyarena.runner.campaign.faults import ALL_FAULTS
 from crazyarena.runner.campaign.outcome import Outcome, summarise
 
 SIMULATED = "Fault campaign in simulation"
@@ -52,7 +53,7 @@ def write_json(path: Path, outcomes: Sequence[Outcome], title: str = SIMULATED) 
         "summary": plain(summarise(outcomes)),
         "flights": [plain(asdict(outcome)) for outcome in outcomes],
     }
-    path.write_text(json.dumps(document, indent=1) + "\n")
+    whole_file.write_whole(path, json.dumps(document, indent=1) + "\n")
 
 
 def save_figure(path: Path, outcomes: Sequence[Outcome], title: str = SIMULATED) -> None:
@@ -68,7 +69,7 @@ def save_figure(path: Path, outcomes: Sequence[Outcome], title: str = SIMULATED)
     left, right = figure.subplots(1, 2, sharey=True)
     for row, name in enumerate(names):
         mine = [outcome for outcome in outcomes if outcome.fault == name]
-        colour = colours[FAULTS[name].kind]
+        colour = colours[ALL_FAULTS[name].kind]
         left.plot([o.excursion for o in mine], [row] * len(mine), ".", color=colour, alpha=0.5)
         times = [o.safe_after for o in mine if math.isfinite(o.safe_after)]
         right.plot(times, [row] * len(times), ".", color=colour, alpha=0.5)
@@ -81,4 +82,4 @@ def save_figure(path: Path, outcomes: Sequence[Outcome], title: str = SIMULATED)
     for kind, colour in colours.items():
         right.plot([], [], ".", color=colour, label=kind)
     right.legend(title="fault of", fontsize="small")
-    figure.savefig(path, dpi=130)
+    whole_file.save_figure(figure, path, dpi=130)

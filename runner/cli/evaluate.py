@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
+from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, Secret, bad_input_exits
 
 
 def register(app: typer.Typer) -> None:
@@ -23,6 +23,7 @@ def evaluate(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Default: the level's own; -1 there is a new one.")
     ] = None,
+    secret: Secret = False,
     out: Annotated[Path | None, typer.Option(help="Results folder. Default: none.")] = None,
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode to --out.")] = False,
     set_: Annotated[
@@ -49,6 +50,7 @@ def evaluate(
 
         from rich.console import Console
 
+        from crazyarena.errors import StorageError
         from crazyarena.runner.lsy_run import ENOUGH, LsyRun, summary, tell
 
         console = Console(file=sys.stderr) if as_json else Console()
@@ -58,6 +60,7 @@ def evaluate(
             set_ or [],
             episodes=runs,
             seed=seed,
+            secret=secret,
             out=out,
             record=record,
             sandbox=sandbox or require_sandbox,
@@ -66,6 +69,8 @@ def evaluate(
         )
         result = run.run()
         tell(result, console)
+        if result.cut_short is not None:
+            raise StorageError(result.cut_short)
     enough = result.success_rate >= ENOUGH
     if as_json:
         document = {
@@ -86,7 +91,7 @@ def evaluate(
         typer.echo(json.dumps(document, indent=2))
     else:
         shown = "nan" if result.mean_time is None else f"{result.mean_time:.3f}"
-        typer.echo(f"seed {result.seed}")
+        typer.echo("seed: secret" if secret else f"seed {result.seed}")
         typer.echo(f"{shown},{result.success_rate:.2f}")
     if not enough:
         raise typer.Exit(EXIT_NOT_CLEAN)

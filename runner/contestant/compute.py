@@ -113,26 +113,21 @@ class _VirtualWaiter:
         self._contestant = contestant
         self._clock = clock
         self._compute = compute
-        self._patience = patience  # s on the clock after which nobody waits any more
+        self._counted = compute.mode == MEASURED
+        # s of wall time for one answer: on the clock nobody waits longer than patience.
+        self._limit = patience / compute.factor if self._counted else compute.budget.step
         self._asked_at = 0.0
-        self._step = 0
         self._answer: Answer | None = None
         self._ready = float("inf")
 
     def asked(self, step: int) -> None:
-        self._step = step
         self._asked_at = self._clock.now()
-        self._answer = None
-        counted = self._compute.mode == MEASURED
-        limit = self._compute.budget.step
-        if counted:
-            limit = self._patience / self._compute.factor
+        limit = self._limit
         answer = self._contestant.wait(limit)
-        if answer is None and not counted:
-            text = f"step {self._step}: no answer within {limit:g} s of wall time"
-            answer = Answer(self._step, None, text, limit, timed_out=True)
+        if answer is None and not self._counted:
+            text = f"step {step}: no answer within {limit:g} s of wall time"
+            answer = Answer(step, None, text, limit, timed_out=True)
         self._answer = answer
-        self._ready = float("inf")
         if answer is not None:
             late = answer.timed_out
             self._ready = self._asked_at + (0.0 if late else self._compute.cost(answer.seconds))
@@ -141,9 +136,9 @@ class _VirtualWaiter:
         if self._answer is None or self._ready > deadline:
             self._clock.sleep_until(deadline)
             return None
-        self._clock.sleep_until(self._ready)
+        if self._ready > self._asked_at:
+            self._clock.sleep_until(self._ready)
         answer, self._answer = self._answer, None
-        self._ready = float("inf")
         return answer
 
 

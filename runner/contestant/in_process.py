@@ -23,21 +23,23 @@ Array = NDArray[np.float64]
 
 
 class Pilot:
-    """The controller object and how it is called; the same inside and outside of a sandbox."""
+    """The controller object and how it is called; the same inside and outside of a sandbox.
+
+    Attributes
+    ----------
+    learns: whether the controller that was made has ``interStepLearn``.
+    """
 
     def __init__(self, submission: Submission) -> None:
         self._submission = submission
         self._canvas = Canvas()
         self._controller: Any = None
+        self.learns = False
 
     def make(self, obs: list[Any], level: Level, start: Array) -> None:
         info = initial_info(level, self._canvas, start)
         self._controller = self._submission.make(list(obs), info, level.use_firmware, level.verbose)
-
-    @property
-    def learns(self) -> bool:
-        """Whether the controller has ``interStepLearn``."""
-        return hasattr(self._controller, "interStepLearn")
+        self.learns = hasattr(self._controller, "interStepLearn")
 
     def answer(self, question: Question, on_learned: Callable[[], None] = lambda: None) -> Answer:
         """Call the controller for one control step; never raises for its failures.
@@ -147,6 +149,9 @@ class InProcess:
             )
             seconds = time.perf_counter() - started
             return Answer(question.step, None, text, seconds, timed_out=True)
+        except KeyboardInterrupt as raised:
+            text = f"step {question.step}: it raised\n{self._own(raised)}"
+            return Answer(question.step, None, text, time.perf_counter() - started)
         finally:
             limit.end()
             interrupt.in_controller = False
@@ -158,6 +163,14 @@ class InProcess:
         except TimeIsUp as late:
             text = f"{name} did not return within {self._hook_timeout:g} s\n{own_traceback(late)}"
             return self._hook_timeout, text
+        except KeyboardInterrupt as raised:
+            return 0.0, f"{name} raised\n{self._own(raised)}"
+
+    def _own(self, raised: KeyboardInterrupt) -> str:
+        """Traceback of what the controller itself has raised; raises on what somebody asked for."""
+        if self._interrupt.asked:
+            raise raised
+        return own_traceback(raised)
 
     def close(self) -> None:
         self._limit.close()

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from crazyarena import whole_file
 from crazyarena.bounded_read import read_json
 from crazyarena.errors import InputError
 from crazyarena.plain_text import shown_line, unmarked
@@ -271,4 +272,4 @@ def save_figure(file: Path, comparison: Comparison) -> None:
     last.set_ylabel("distance [cm]")
     last.set_xlabel("time [s]")
     last.grid(True, alpha=0.3)
-    figure.savefig(file)
+    whole_file.save_figure(figure, file)

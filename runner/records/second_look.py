@@ -23,8 +23,9 @@ from typing import Any
 import numpy as np
 
 from crazyarena.errors import CrazyarenaError
-from crazyarena.levels import Level, load_level
+from crazyarena.levels import Level, dump_level, load_level
 from crazyarena.runner.judging.referee import Referee
+from crazyarena.runner.judging.result import EpisodeResult
 from crazyarena.runner.records.export import read
 from crazyarena.sim_backend.trace import TRACE_SIZE
 
@@ -95,6 +96,26 @@ def main() -> None:
         file.flush()
         level = load_level(file.name)
     print(json.dumps([_doubt(level, episode) for episode in question["episodes"]]))
+
+
+def look_again(level: Level, folder: Path, recorded: list[EpisodeResult]) -> list[str]:
+    """Note in episodes what their recordings do not bear out; returns it in words."""
+    asked = [
+        {
+            "file": str(folder / episode.files["recording"]),
+            "completed": bool(episode.completed),
+            "gates_passed": int(episode.gates_passed),
+            "collisions": int(episode.collisions),
+            "violations": int(episode.violations),
+        }
+        for episode in recorded
+    ]
+    found = []
+    for episode, doubt in zip(recorded, doubts(dump_level(level), asked), strict=True):
+        episode.doubt = doubt
+        if doubt:
+            found.append(f"Episode {episode.index} is not borne out by its recording: {doubt}")
+    return found
 
 
 if __name__ == "__main__":

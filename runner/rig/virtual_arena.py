@@ -2,8 +2,10 @@
 on zenoh or as one of the emulated systems.
 
 ``python -m crazyarena.runner.rig.virtual_arena CONFIG`` with a JSON object: level_file (path),
-seed, vehicle (id), vehicle_file, port, radio (on the air, not on the port), place of the cameras,
-cameras (fields of CameraModel), battery (times the usual capacity). Prints one line of JSON with
+seed, lsy (name and overrides of a level of lsy_drone_racing, or null), vehicle (id),
+vehicle_file, port, radio (on the air, not on the port), place of the cameras, cameras (fields of
+CameraModel), battery (times the usual capacity), deck (on the vehicle, instead of cameras; none if
+empty). Prints one line of JSON with
 ``uri`` and ``air`` once it runs, and on SIGTERM one with how it kept up, then ends; also 20 s after
 its standard input was closed.
 """
@@ -30,11 +32,15 @@ from crazyarena.errors import BackendError
 from crazyarena.levels import dump_level, load_level
 from crazyarena.levels.draw import LevelRandom
 from crazyarena.levels.schema import Level
+from crazyarena.mocap.onboard import KIND as ONBOARD
+from crazyarena.mocap.opening import SourceSpec
 from crazyarena.runner.rig import arena_cameras
 from crazyarena.runner.timing.realtime import SERVING, lock_memory, lower_priority, raise_priority
 from crazyarena.types import Pose
 
 if TYPE_CHECKING:
+    from crazyarena.levels.draw import Draw
+    from crazyarena.sim_backend.arena_world import AnyTrack
     from crazyarena.sim_backend.vehicles import VehicleSupply
 
 _START_TIMEOUT = 300.0  # s; the first run compiles
@@ -46,12 +52,18 @@ def _serve(config: dict[str, Any]) -> None:
     from crazyarena.mocap.sim_source import SimSource
     from crazyarena.sim_backend.arena import ArenaFleet
     from crazyarena.sim_backend.arena_kernel import DT
-    from crazyarena.sim_backend.arena_world import LinkModel, Track, motions, sensor_noise
+    from crazyarena.sim_backend.arena_world import (
+        LinkModel,
+        Track,
+        motions,
+        sensor_noise,
+    )
     from crazyarena.sim_backend.crazyradio.fleet import put_on_air
     from crazyarena.sim_backend.crazyradio.gateway import Gateway
     from crazyarena.sim_backend.crtp.faults import Faults
     from crazyarena.sim_backend.crtp.server import VirtualServer
     from crazyarena.sim_backend.crtp.swarm import Send, VirtualSwarm
+    from crazyarena.sim_backend.decks import make_deck
     from crazyarena.sim_backend.physics.arena_plant import AP_CAPACITY
     from crazyarena.sim_backend.physics.competition_step import PLANT_SIZE
     from crazyarena.sim_backend.vehicles import load_vehicle, vehicle_rows
@@ -59,7 +71,7 @@ def _serve(config: dict[str, Any]) -> None:
     class Swarm(VirtualSwarm):
         """Vehicles among the gates and obstacles that the cameras see as well."""
 
-        track: Track
+        track: AnyTrack
 
         def advance(self, ticks: int, send: Send) -> None:
             if self.track.moves:
@@ -71,10 +83,15 @@ def _serve(config: dict[str, Any]) -> None:
 
     lower_priority()  # whatever the runner had: first comes a lot of work that may wait
     level = load_level(config["level_file"])
-    draw = LevelRandom(level, config["seed"]).reset()
-    track = Track(draw, motions(level))
+    track: AnyTrack
+    if config["lsy"] is None:
+        draw = LevelRandom(level, config["seed"]).reset()
+        track = Track(draw, motions(level))
+    else:
+        draw, track = _lsy_track(level, config["seed"], **config["lsy"])
     # Not the numbers of the dry run: measurement noise never repeats in an arena either.
-    for_cameras, for_sensors = np.random.default_rng([config["seed"], os.getpid()]).spawn(2)
+    noise = np.random.default_rng([config["seed"], os.getpid()])
+    for_cameras, for_sensors, for_deck = noise.spawn(3)
     model = vehicle_rows(load_vehicle(config["vehicle_file"]))
     nominal = level.vehicle
     model.plant[:PLANT_SIZE] += np.array((draw.mass, *draw.inertia)) - (
@@ -93,6 +110,8 @@ def _serve(config: dict[str, Any]) -> None:
         rng=for_sensors,
     )
     fleet.plants[0, AP_CAPACITY] *= config["battery"]
+    if config["deck"]:
+        fleet.decks.fit(0, make_deck(config["deck"], for_deck))
     fleet.advance(1)  # compiles, which must not happen in flight
     swarm = Swarm(fleet)
     swarm.track = track
@@ -102,8 +121,10 @@ def _serve(config: dict[str, Any]) -> None:
     lock_memory()
     raise_priority(SERVING, inherit=True)
     clock = WallClock()
-    cameras = SimSource(clock, None, CameraModel(**config["cameras"]), for_cameras)
-    publisher = arena_cameras.serve(config["place"], list(swarm.truth()), clock)
+    cameras, publisher = None, None
+    if not config["deck"]:
+        cameras = SimSource(clock, None, CameraModel(**config["cameras"]), for_cameras)
+        publisher = arena_cameras.serve(config["place"], list(swarm.truth()), clock)
     links, gateway = None, None
     if config["radio"]:
         links, air = put_on_air(fleet.ids, clock)
@@ -155,7 +176,20 @@ def _serve(config: dict[str, Any]) -> None:
         if gateway is not None:
             gateway.close()
         server.close()
-        publisher.close()
+        if publisher is not None:
+            publisher.close()
+
+
+def _lsy_track(level: Level, seed: int, name: str, overrides: list[str]) -> tuple[Draw, AnyTrack]:
+    """Draw and track of a level of lsy_drone_racing; ``level`` is its arena."""
+    from crazyarena.levels.lsy import load_lsy_level
+    from crazyarena.levels.lsy.arena import ArenaDraws
+    from crazyarena.sim_backend.lsy_track import LsyTrack
+
+    body = level.vehicle
+    own = load_lsy_level(name, overrides)
+    draw = ArenaDraws(own, body.mass, (body.ixx, body.iyy, body.izz), seed).reset()
+    return draw, LsyTrack(draw)
 
 
 class VirtualArena:
@@ -185,12 +219,20 @@ class VirtualArena:
         supply: VehicleSupply | None = None,
         mocap: str = "zenoh",
         mocap_options: dict[str, Any] | None = None,
+        lsy: dict[str, Any] | None = None,
     ) -> None:
         from crazyarena.sim_backend.vehicles import level_supply, vehicle_file
 
-        place = arena_cameras.free_places(mocap)
-        self.endpoint = arena_cameras.endpoint(place)
-        self.source = arena_cameras.source(place, cameras or {}, **(mocap_options or {}))
+        place: dict[str, Any] = {}
+        options = dict(mocap_options or {})
+        deck, self.endpoint = "", ""
+        if mocap == ONBOARD:
+            deck = str(options.pop("deck", "lighthouse"))
+            self.source = SourceSpec(ONBOARD, options)
+        else:
+            place = arena_cameras.free_places(mocap)
+            self.endpoint = arena_cameras.endpoint(place)
+            self.source = arena_cameras.source(place, cameras or {}, **options)
         self.report: dict[str, Any] = {}
         level_file = folder / "level.yaml"
         level_file.write_text(dump_level(level))
@@ -198,6 +240,7 @@ class VirtualArena:
         config = {
             "level_file": str(level_file),
             "seed": seed,
+            "lsy": lsy,
             "vehicle": vehicle,
             "vehicle_file": str(vehicle_file(folder, flown)),
             "port": 0,
@@ -205,6 +248,7 @@ class VirtualArena:
             "cameras": cameras or {},
             "battery": battery,
             "radio": radio,
+            "deck": deck,
         }
         self._errors = open(folder / "virtual_arena.log", "w+")  # noqa: SIM115 - closed by close()
         self._process = subprocess.Popen(

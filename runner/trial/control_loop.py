@@ -19,10 +19,10 @@ from crazyarena.errors import BackendError, CommandError
 from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.compute import Compute, make_waiter
 from crazyarena.runner.contestant.contract_2022.command_check import FINISHED as FINISHED_VERB
-from crazyarena.runner.contestant.contract_2022.command_check import NONE, Asked
+from crazyarena.runner.contestant.contract_2022.command_check import NONE
 from crazyarena.runner.contestant.dialogue import Answer, Contestant, Learn, Question
 from crazyarena.runner.contestant.interrupt import Interrupt
-from crazyarena.runner.judging.referee import Event, Referee, Verdict
+from crazyarena.runner.judging.referee import Event, Verdict
 from crazyarena.runner.judging.result import (
     CONTROLLER_ERROR,
     CONTROLLER_TIMEOUT,
@@ -32,10 +32,10 @@ from crazyarena.runner.judging.result import (
     EpisodeResult,
     percentiles_ms,
 )
-from crazyarena.runner.judging.why import explain
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.rig.watch import Watch
 from crazyarena.runner.timing.scheduler import Scheduler
+from crazyarena.runner.trial.contract import Contract
 from crazyarena.runner.trial.world import World
 from crazyarena.sim_backend.trace import TR_POS, TRACE_SIZE
 
@@ -68,8 +68,8 @@ class ControlLoop:
     ----------
     index: number of the episode, from 0.
     world: its episode time begins when :meth:`fly` is called.
-    referee: already begun.
-    rate: control ticks per second.
+    referee: already begun. rate: control ticks per second.
+    contract: whose contestant flies.
     keep_alive: a setpoint is repeated at every tick at which the contestant asks for nothing
         new: vehicles do not fly on with a stream that fell silent, and the contract has them.
     watch: asked at every tick; its verdict ends the run.
@@ -83,10 +83,11 @@ class ControlLoop:
         index: int,
         contestant: Contestant,
         world: World,
-        referee: Referee,
+        referee: Any,
         rate: float,
         deadlines: Deadlines,
         interrupt: Interrupt,
+        contract: Contract,
         *,
         keep_alive: bool,
         recorder: Recorder | None = None,
@@ -95,8 +96,10 @@ class ControlLoop:
         on_step: Callable[[float], None] | None = None,
         thought_before: float = 0.0,
     ) -> None:
+        budget = deadlines.compute.budget
         self._thought_before = thought_before
         self._thought = 0.0
+        self._most_thought = min(budget.episode, budget.trial - thought_before)
         self._index = index
         self._contestant = contestant
         self._world = world
@@ -104,6 +107,7 @@ class ControlLoop:
         self._rate = rate
         self._deadlines = deadlines
         self._interrupt = interrupt
+        self._contract = contract
         self._keep_alive = keep_alive
         self._recorder = recorder
         self._watch = watch
@@ -129,7 +133,7 @@ class ControlLoop:
         self._highest = -np.inf
         self._first: str | None = None
 
-    def fly(self, obs: list[Any]) -> tuple[EpisodeResult, list[Any]]:
+    def fly(self, obs: Any) -> tuple[EpisodeResult, Any]:
         """Fly until the referee, the contestant, the watchdog or Ctrl-C ends it.
 
         ``obs`` is what the contestant is told first; returns the result and the last ``obs``.
@@ -141,6 +145,16 @@ class ControlLoop:
         except KeyboardInterrupt:
             reason = INTERRUPTED
         return self._result(reason), self._obs
+
+    @property
+    def row(self) -> np.ndarray | None:
+        """(TRACE_SIZE,) the last that was judged; None before the first."""
+        return self._rows[-1] if len(self._rows) else None
+
+    @property
+    def missed(self) -> int:
+        """Ticks so far at which no command was sent."""
+        return self._missed
 
     @property
     def thought(self) -> float:
@@ -162,7 +176,7 @@ class ControlLoop:
             time = step * period
             if self._interrupt.asked:
                 return INTERRUPTED
-            if self._is_stopped():
+            if self._watch is not None and self._is_stopped():
                 return SAFETY
             applied = False
             if pending is not None:
@@ -247,8 +261,9 @@ class ControlLoop:
         """Act on an answer; returns the reason if the run ends with it."""
         self._seconds.append(answer.seconds)
         self._command_seconds.append(answer.command_seconds)
-        self._learned += answer.learn_seconds > 0.0
-        self._learn_seconds += answer.learn_seconds
+        if answer.learn_seconds > 0.0:
+            self._learned += 1
+            self._learn_seconds += answer.learn_seconds
         self._overruns += answer.seconds * self._rate > 1.0
         self._consecutive = 0
         if self._watch is not None:
@@ -258,38 +273,39 @@ class ControlLoop:
         if answer.error is not None or answer.asked is None:
             return self._failed(answer.error or "no command", time)
         self._thought += answer.seconds
-        budget = self._deadlines.compute.budget
-        for spent, limit, what in (
-            (self._thought, budget.episode, "this episode"),
-            (self._thought_before + self._thought, budget.trial, "this trial"),
-        ):
-            if spent > limit:
-                return self._timed_out(
-                    f"step {answer.step}: it has taken {spent:.0f} s of wall time for its answers "
-                    f"in {what}; {limit:g} s are allowed",
-                    time,
-                )
+        if self._thought > self._most_thought:
+            return self._timed_out(self._over_budget(answer.step), time)
         asked = answer.asked
+        verb, sent = asked.verb, asked.command
         if self._first is None:
             self._first = asked.name
-        sent = asked.command
-        if asked.verb == NONE and self._keep_alive:
+        if verb == NONE and self._keep_alive:
             sent = self._last
-        if asked.verb == FINISHED_VERB:
-            self._record(time, asked, None)
-            return FINISHED
-        if sent is not None:
+        if verb == FINISHED_VERB:
+            sent = None
+        elif sent is not None:
             try:
                 self._world.send(sent)
             except (BackendError, CommandError) as error:
                 return self._refused(error, step, time)
         if asked.command is not None:
             # High-level commands are carried out by the vehicle itself, once.
-            streamed = isinstance(asked.command, cs.FullState)
+            streamed = isinstance(asked.command, cs.STREAMED)
             self._last = asked.command if streamed else None
             self._sent_at = time
-        self._record(time, asked, sent)
-        return None
+        if self._recorder is not None:
+            self._recorder.command(time, asked, sent)
+        return FINISHED if verb == FINISHED_VERB else None
+
+    def _over_budget(self, step: int) -> str:
+        budget = self._deadlines.compute.budget
+        spent, limit, what = self._thought, budget.episode, "this episode"
+        if spent <= limit:
+            spent, limit, what = self._thought_before + spent, budget.trial, "this trial"
+        return (
+            f"step {step}: it has taken {spent:.0f} s of wall time for its answers in {what}; "
+            f"{limit:g} s are allowed"
+        )
 
     def _timed_out(self, text: str, time: float) -> str:
         self._failed(text, time)
@@ -311,9 +327,10 @@ class ControlLoop:
         last = self._last
         if last is None or not self._keep_alive:
             return
-        assert isinstance(last, cs.FullState)
         command = last
-        if self._deadlines.policy is LatePolicy.EXTRAPOLATE:
+        if not isinstance(last, cs.FullState):
+            pass  # an attitude leads on by itself, and is best held
+        elif self._deadlines.policy is LatePolicy.EXTRAPOLATE:
             position, velocity = np.asarray(last.position), np.asarray(last.velocity)
             push = np.asarray(last.acceleration)
             command = cs.FullState(
@@ -323,9 +340,9 @@ class ControlLoop:
                 last.yaw,
                 last.omega,
             )
-        elif self._deadlines.policy is LatePolicy.HOVER:
+        elif self._deadlines.policy is LatePolicy.HOVER and len(self._rows):
             rest = np.zeros(3)
-            command = cs.FullState(np.array(self._obs[0:5:2], float), rest, rest, last.yaw, rest)
+            command = cs.FullState(self._rows[-1, TR_POS : TR_POS + 3], rest, rest, last.yaw, rest)
         self._last = command
         self._world.send(command)
 
@@ -341,10 +358,6 @@ class ControlLoop:
         self._learned += answer.learn_seconds > 0.0
         self._learn_seconds += answer.learn_seconds
         return None if answer.error is None else self._failed(answer.error, step / self._rate)
-
-    def _record(self, time: float, asked: Asked, sent: cs.Command | None) -> None:
-        if self._recorder is not None:
-            self._recorder.command(time, asked, sent)
 
     def _note(self, name: str, step: int, detail: str) -> None:
         event = Event(name, self._referee.ticks, step / self._rate, detail)
@@ -395,14 +408,12 @@ class ControlLoop:
         )
 
     def _why(self, reason: str) -> str:
-        return explain(
+        return self._contract.why(
+            self._referee,
             reason,
             self._events,
             self._rows,
-            self._referee.true_gates,
-            self._referee.level,
-            highest=self._highest,
-            passed=self._referee.gates_passed,
-            first_command=self._first,
-            error=self._error,
+            self._highest,
+            self._first,
+            self._error,
         )

@@ -20,6 +20,11 @@ from crazyarena.runner.trial.control_loop import Deadlines, LatePolicy
 _SECRET_BITS = 128
 
 
+def secret_seed() -> int:
+    """A seed that nobody can guess."""
+    return secrets.randbits(_SECRET_BITS)
+
+
 @dataclass(frozen=True, slots=True)
 class FlightOptions:
     """Choices that do not belong to the level.
@@ -69,7 +74,7 @@ class FlightOptions:
             return level.seed if given is None else given
         if given is not None:
             raise InputError("--seed and --secret exclude each other")
-        return secrets.randbits(_SECRET_BITS)
+        return secret_seed()
 
     def deadlines(self, level: Level) -> Deadlines:
         """Deadlines for a level."""

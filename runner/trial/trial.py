@@ -16,16 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from crazyarena import __version__
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
-from crazyarena.levels import dump_level
-from crazyarena.levels.draw import Draw, LevelRandom
+from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level
 from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.interrupt import Interrupt
-from crazyarena.runner.judging.referee import Referee, Verdict, observation
+from crazyarena.runner.judging.referee import Verdict
 from crazyarena.runner.judging.result import (
     ABORTED,
     CONTROLLER_ERROR,
@@ -35,11 +33,12 @@ from crazyarena.runner.judging.result import (
     EpisodeResult,
     TrialResult,
 )
-from crazyarena.runner.records.recorder import Recorder
-from crazyarena.runner.records.scene import scene_update
+from crazyarena.runner.records.recorder import SINCE, Recorder
+from crazyarena.runner.trial.contract import Contract, Contract2022
 from crazyarena.runner.trial.control_loop import ControlLoop, Deadlines
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.trial.phase import Aborted, MeasuredTrack, Phase
+from crazyarena.runner.trial.showing import Showing
 from crazyarena.runner.trial.staging import Staging
 from crazyarena.runner.trial.world import World
 
@@ -49,23 +48,15 @@ _ENDS_RENEWED = (INTERRUPTED, ABORTED)
 _FAILED = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT)
 
 
-def require_firmware(level: Level) -> None:
-    """Raise InputError for a level that asks for the mode without firmware."""
-    if not level.use_firmware:
-        raise InputError(
-            f"level {level.name}: use_firmware is false; only firmware mode (cmdFirmware) "
-            "can be flown. Set use_firmware: true"
-        )
-
-
 class Trial:
     """Flies ``episodes`` episodes of a level with one contestant.
 
     Parameters
     ----------
-    level: with ``use_firmware`` (the contestant's ``cmdSimOnly`` has no counterpart here).
+    level: what is flown.
     contestant: loaded; the caller closes it.
     world: not reset yet; the caller closes it.
+    contract: how worlds are drawn, judged and told of; that of 2022 by default.
     staging: what surrounds a run; nothing by default.
     deadlines: those of the level's profile by default.
     episodes: how many; default the level's own number.
@@ -74,6 +65,7 @@ class Trial:
     keep_states: keep the flight in memory for ``on_episode`` even if nothing is recorded.
     on_step: called with (episode, time s) after every control step.
     on_episode: called with each episode's result, recorder (or None) and track right after it.
+    show: for viewers.
     """
 
     def __init__(
@@ -82,6 +74,7 @@ class Trial:
         contestant: Contestant,
         world: World,
         *,
+        contract: Contract | None = None,
         staging: Staging | None = None,
         deadlines: Deadlines | None = None,
         episodes: int | None = None,
@@ -91,11 +84,12 @@ class Trial:
         on_step: Callable[[int, float], None] | None = None,
         on_episode: Callable[[EpisodeResult, Recorder | None, Any], None] | None = None,
         wall: Clock | None = None,
+        show: Showing | None = None,
     ) -> None:
-        require_firmware(level)
         self._level = level
         self._contestant = contestant
         self._world = world
+        self._contract = contract or Contract2022(level)
         self._staging = staging or Staging()
         self._deadlines = deadlines or FlightOptions().deadlines(level)
         self._episodes = level.num_episodes if episodes is None else episodes
@@ -105,57 +99,60 @@ class Trial:
         self._on_step = on_step
         self._on_episode = on_episode
         self._wall = wall if wall is not None else WallClock()
+        self._show = show
         self._made = self._flown = False
         self._last_endings = _ENDS_RENEWED if self._staging.renews else _ENDS_TRIAL
         self._thought = 0.0  # s of wall time, by the contestant
+        self._cut_short: str | None = None
 
     def run(self) -> TrialResult:
         """Fly; raises InputError when the controller cannot be constructed."""
-        random = LevelRandom(self._level, self._seed)
-        referee = Referee(self._level)
+        random = self._contract.draws(self._seed)
+        referee = self._contract.referee()
         results: list[EpisodeResult] = []
-        obs: list[Any] = []
+        obs: Any = []
         with self._staging.interruptible() as interrupt:
             self._contestant.heed(interrupt)
             for index in range(self._episodes):
                 result, obs = self._episode(index, random.reset(), referee, obs, interrupt)
                 results.append(result)
-                if interrupt.asked or result.termination in self._last_endings:
+                if interrupt.asked or self._cut_short or result.termination in self._last_endings:
                     break
                 if index + 1 < self._episodes:
                     if result.termination in _FAILED:
                         self._made = False
                         continue
                     flown = result.termination
-                    self._hook("interEpisodeReset", result, interrupt)
+                    self._hooks(self._contract.between, result, interrupt)
                     if result.termination != flown:
                         break
-        return TrialResult(results, self._episodes)
+        return TrialResult(results, self._episodes, cut_short=self._cut_short)
 
     def _episode(
         self,
         index: int,
         draw: Draw,
-        referee: Referee,
-        obs: list[Any],
+        referee: Any,
+        obs: Any,
         interrupt: Interrupt,
-    ) -> tuple[EpisodeResult, list[Any]]:
-        staging = self._staging
+    ) -> tuple[EpisodeResult, Any]:
+        staging, contract = self._staging, self._contract
         self._world.reset(draw)
         try:
             track = staging.prepare(draw)
-            referee.begin(track.gates, track.obstacles, staging.follow())
             start = staging.start(draw)
-            referee.warm_up(start)
-            if staging.fresh or not self._made:
-                obs = observation(start)
-            if not self._made:
+            contract.begin(referee, draw, track, staging.follow(), start)
+            if staging.fresh or contract.renews or not self._made:
+                obs = contract.first(referee, start)
+            if contract.renews or not self._made:
                 self._make(obs, start)
         except Aborted as error:
             return self._aborted(index, error), obs
         with staging.else_abort():
             recorder = self._recorder(index, draw, track, start)
         staging.announce(track, self._level, recorder)
+        if self._show is not None:
+            self._show.begin(index, track.gates, track.obstacles)
         try:
             with staging.on_stage():
                 result, obs = self._run(index, referee, obs, interrupt, recorder)
@@ -167,14 +164,15 @@ class Trial:
         result.reveals = staging.reveals
         result.phases = staging.durations
         if recorder is not None and recorder.file is not None:
+            self._cut_short = recorder.trouble
             result.files["recording"] = recorder.file.name
         if result.termination not in _ENDS_TRIAL:
-            result.interepisode_learning_time = self._hook("interEpisodeLearn", result, interrupt)
+            result.interepisode_learning_time = self._hooks(contract.after, result, interrupt)
         if self._on_episode is not None:
             self._on_episode(result, recorder, track)
         return result, obs
 
-    def _make(self, obs: list[Any], start: np.ndarray) -> None:
+    def _make(self, obs: Any, start: np.ndarray) -> None:
         with self._staging.else_abort():
             try:
                 self._contestant.make(obs, self._level, start)
@@ -188,16 +186,20 @@ class Trial:
     def _run(
         self,
         index: int,
-        referee: Referee,
-        obs: list[Any],
+        referee: Any,
+        obs: Any,
         interrupt: Interrupt,
         recorder: Recorder | None,
-    ) -> tuple[EpisodeResult, list[Any]]:
-        staging, on_step = self._staging, self._on_step
+    ) -> tuple[EpisodeResult, Any]:
+        staging, on_step, show = self._staging, self._on_step, self._show
         staging.begin()
+        if show is not None:
+            show.running()
 
         def judged(verdict: Verdict, time: float) -> None:
             staging.judged(verdict, time, recorder)
+            if show is not None:
+                show.step(verdict, time, loop.row, loop.missed)
 
         loop = ControlLoop(
             index,
@@ -207,6 +209,7 @@ class Trial:
             self._level.control_frequency,
             self._deadlines,
             interrupt,
+            self._contract,
             keep_alive=staging.keep_alive,
             recorder=recorder,
             watch=staging.watch,
@@ -220,6 +223,8 @@ class Trial:
             staging.failed()
             raise
         self._thought += loop.thought
+        if show is not None:
+            show.end(result)
         staging.end(result, recorder)
         return result, obs
 
@@ -247,6 +252,15 @@ class Trial:
             phases=self._staging.durations,
         )
 
+    def _hooks(self, names: tuple[str, ...], result: EpisodeResult, interrupt: Interrupt) -> float:
+        """Call some of the contestant's hooks, up to the first that fails; s that they took."""
+        flown, spent = result.termination, 0.0
+        for name in names:
+            spent += self._hook(name, result, interrupt)
+            if result.termination != flown or interrupt.asked:
+                break
+        return spent
+
     def _hook(self, name: str, result: EpisodeResult, interrupt: Interrupt) -> float:
         try:
             seconds, error = self._contestant.hook(name)
@@ -265,9 +279,8 @@ class Trial:
         if self._out is None and not self._keep_states:
             return None
         metadata = {
-            "crazyarena": __version__,
-            "level": self._level.name,
-            "level_file": dump_level(self._level),
+            "crazyarena": SINCE,
+            **self._contract.metadata(draw, track, start),
             "seed": str(self._seed),
             "episode": str(index),
             "submission_sha256": self._contestant.digest,
@@ -278,6 +291,6 @@ class Trial:
             "obstacles": json.dumps(track.obstacles.tolist()),
         }
         metadata |= self._staging.metadata(track)
-        scene = scene_update(track.gates, track.obstacles, self._level)
+        scene = self._contract.scene(track)
         file = None if self._out is None else self._out / f"episode_{index:03d}.mcap"
         return Recorder(file, metadata, scene, self._wall, logs=self._staging.logs)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from crazyarena.sim_backend.arena import ArenaFleet
-from crazyarena.sim_backend.arena_params import PARAM_INDEX, PARAMS
+from crazyarena.sim_backend.arena_params import PARAM_INDEX, PARAMS, YAW_MODE
 from crazyarena.sim_backend.firmware import commander as cm
 from crazyarena.sim_backend.firmware import stack_2026
 from crazyarena.sim_backend.firmware import supervisor as sv
@@ -70,6 +70,9 @@ class ArenaVehicle:
     def priority(self) -> int:
         return int(self.rows.commander[cm.CM_PRIORITY])
 
+    def yaw_angle(self) -> bool:
+        return self.fleet.get_param(self.index, YAW_MODE) == 1
+
     def offer(self, row: np.ndarray) -> None:
         self.fleet.setpoint(self.index, row)
 
@@ -102,7 +105,9 @@ class ArenaVehicle:
 
     def boot_param(self, name: str) -> float | None:
         """What the vehicle's model says of a parameter, where it differs from the firmware's own
-        default and is not for a ground station to write."""
+        default and is not for a ground station to write; and which positioning deck it has."""
+        if (fitted := self.fleet.decks.fitted(self.index, name)) is not None:
+            return fitted
         index = PARAM_INDEX.get(name)
         if (
             index is None

@@ -190,6 +190,16 @@ class TestGone:
         hangar.fleet.send(c.Emergency(), 0)
         script.ends(r"cf1: has locked itself in flight")
 
+    def test_locked_while_out_of_reach(self, world):
+        hangar, backend = world(options=RadioOptions(link_timeout=0.4, gone_after=60.0))
+        script = Script(backend)
+        fly(hangar, backend)
+        script.check()
+        hangar.server.cut(1.5)
+        hangar.fleet.send(c.Emergency(), 0)
+        script.hears(r"cf1: link lost .* in the air")
+        script.ends(r"cf1: has locked itself in flight")
+
     def test_with_a_guard_it_only_warns(self, world):
         hangar, backend = world(options=self.options)
         script = Script(backend, guarded=True)
@@ -252,7 +262,8 @@ def test_threads_end_with_the_backend(world):
         names = {t.name for t in threading.enumerate()} - before
         return [n for n in names if n.startswith(("reconnect", "send-", "radio-", "events"))]
 
-    assert not left()
+    # One that is connecting notices at its next look.
+    eventually(lambda: not left(), 20.0)
     # cflib's own end by themselves within the second that they wait for packets.
     kinds = ("IncomingPacketHandlerThread", "ParamUpdaterThread")
     eventually(

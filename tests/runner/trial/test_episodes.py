@@ -51,7 +51,9 @@ def remembering(made):
     return Arena
 
 
-def fly(tmp_path, trouble="pass", overrides=(), on_step=None, episodes=3, entry=None):
+def fly(
+    tmp_path, trouble="pass", overrides=(), on_step=None, episodes=3, entry=None, contestant=None
+):
     """Results of some episodes of a vehicle that rises to a metre, and the rig it had."""
     if entry is None:
         entry = tmp_path / "rise.py"
@@ -63,7 +65,7 @@ def fly(tmp_path, trouble="pass", overrides=(), on_step=None, episodes=3, entry=
         rig = simulated(level, 3)
     (arena,) = arenas
     world = TrackedWorld(rig)
-    contestant = InProcess(Submission(entry, tmp_path))
+    contestant = contestant or InProcess(Submission(entry, tmp_path))
     try:
         crew = Crew(rig, world, level, anywhere=True)
         result = Trial(
@@ -170,6 +172,18 @@ class Controller:
         v = [(y - x) / 2e-3 for x, y in zip(a, b)]
         return Command.FULLSTATE, [list(p), v, [0, 0, 0], {yaw}, [0, 0, 0]]
 """
+
+
+def test_a_run_that_ends_drifting_close_to_the_fence_is_brought_home(tmp_path):
+    # Slower than what counts as moving, and 0.1 m from the fence: a plan from there swings out.
+    drift = TOWARDS_THE_FENCE.replace(
+        "0.09 * math.sin(5.0 * swing - 3.25) * min(1.0, swing / 0.5)", "0.06 * swing"
+    )
+    entry = tmp_path / "drift.py"
+    entry.write_text(drift.format(goal=2.86, yaw=0.0))
+    overrides = ["start.position=[0, 1.5, 0.03]", "goal.position=[2, 2, 1]"]
+    result = fly(tmp_path, overrides=[*EMPTY, *overrides, "episode_length=5"], entry=entry)
+    assert [episode.error for episode in result.episodes] == [None] * 3
 
 
 @pytest.mark.parametrize("yaw", [0.0, 2.5])
