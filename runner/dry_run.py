@@ -115,12 +115,14 @@ class DryRun:
     vehicle: which vehicle flies, on arena levels; that of the level by default.
     spread: whether a vehicle is drawn from the spread of the model; as the level says by default.
     cameras: of an arena, instead of the usual ones.
+    seeds: one for each episode, which are then as many; ``level`` may then be a loaded one.
+    on_episode: told of every episode's result, recorder and track, whatever is kept of it.
     """
 
     def __init__(
         self,
         submission: Path | None,
-        level: str,
+        level: str | Level,
         overrides: Sequence[str] = (),
         episodes: int | None = None,
         seed: int | None = None,
@@ -133,14 +135,20 @@ class DryRun:
         vehicle: VehicleChoice | None = None,
         spread: bool | None = None,
         cameras: CameraModel | None = None,
+        seeds: Sequence[int] | None = None,
+        on_episode: Callable[[EpisodeResult, Recorder | None, Track], None] | None = None,
     ) -> None:
         self._cameras = cameras
-        self._level = load_level(level, overrides)
+        self._level = load_level(level, overrides) if isinstance(level, str) else level
+        self._on_episode = on_episode
         self._vehicle: Vehicle | None = None
         self._choose(vehicle, spread)
         self._options = options or FlightOptions()
         self._options.check()
         self._noise_seed = noise_seed
+        self._seeds = None if seeds is None else tuple(seeds)
+        if self._seeds:
+            seed, episodes = self._seeds[0], len(self._seeds)
         self._seed = self._options.seed(seed, self._level)
         path = example_racer() if submission is None else submission
         entry_file(path.expanduser())  # a wrong path must not leave a results folder behind
@@ -202,6 +210,8 @@ class DryRun:
                 stack.callback(contestant.close)
                 origin = provenance(level, self._seed, self._path, contestant.digest)
                 origin["contestant"] = contestant.description
+                if self._seeds:
+                    origin["seeds"] = list(self._seeds)
                 progress = stack.enter_context(self._progress())
                 display = _Display(progress, level.episode_length, self._episodes)
                 result = self._fly(world, contestant, display, origin, stack)
@@ -251,7 +261,12 @@ class DryRun:
         if options.sandboxed(self._level):
             from crazyarena.runner.contestant.sandbox.process import Sandboxed
 
-            contestant = Sandboxed(self._path, options.limits, require=options.require_sandbox)
+            contestant = Sandboxed(
+                self._path,
+                options.limits,
+                require=options.require_sandbox,
+                parameters=options.parameters,
+            )
             self._print(contestant.announcement)
             return contestant
         return InProcess(Submission(self._path, self.out / "work"))
@@ -267,8 +282,9 @@ class DryRun:
         common: dict[str, Any] = {
             "episodes": self._episodes,
             "seed": self._seed,
+            "seeds": self._seeds,
             "out": self.out if self._record else None,
-            "keep_states": self._figure,
+            "keep_states": self._figure or self._on_episode is not None,
             "on_step": display,
             "on_episode": self._keep,
         }
@@ -357,6 +373,8 @@ class DryRun:
         )
 
     def _keep(self, result: EpisodeResult, recorder: Recorder | None, track: Track) -> None:
+        if self._on_episode is not None:
+            self._on_episode(result, recorder, track)
         if self._figure and recorder is not None:
             states = np.array(recorder.states)
             self._drawings.append((result, states, track.gates, track.obstacles))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -83,6 +83,9 @@ class LsyRun:
     out: results folder, or None for none at all.
     record: write an MCAP file an episode into it.
     sandbox: run the controller in a process of its own; require: refuse to without full walls.
+    seeds: one for each episode, which are then as many, and as large as one likes.
+    parameters: told to a sandboxed controller, see :class:`.Sandboxed`.
+    on_episode: told of every episode's result, recorder and draw, whatever is kept of it.
 
     Raises
     ------
@@ -92,7 +95,7 @@ class LsyRun:
     def __init__(
         self,
         submission: Path,
-        level: str = DEFAULT_LEVEL,
+        level: str | LsyLevel = DEFAULT_LEVEL,
         overrides: Sequence[str] = (),
         *,
         episodes: int = 1,
@@ -102,8 +105,14 @@ class LsyRun:
         sandbox: bool = False,
         require_sandbox: bool = False,
         console: Console | None = None,
+        seeds: Sequence[int] | None = None,
+        parameters: Mapping[str, object] | None = None,
+        on_episode: Callable[[LsyEpisodeResult, Recorder | None, LsyDraw], None] | None = None,
     ) -> None:
-        self.level: LsyLevel = load_lsy_level(level, overrides)
+        self._parameters = parameters
+        self._on_episode = on_episode
+        self._seeds = None if seeds is None else tuple(seeds)
+        self.level = level if isinstance(level, LsyLevel) else load_lsy_level(level, overrides)
         path = submission.expanduser()
         if not path.exists():
             raise InputError(f"{path}: no such file or folder. Pass the file of a controller")
@@ -111,12 +120,14 @@ class LsyRun:
         if file is None:
             raise InputError(
                 f"{path}: no class here derives from lsy_drone_racing.control.Controller, which "
-                f"level {level} needs. Pass the file of such a controller"
+                f"level {self.level.name} needs. Pass the file of such a controller"
             )
         self._file = file.resolve()
         wanted = self.level.env.seed if seed is None else seed
         self.seed = fresh_seed() if wanted < 0 else wanted
         self._episodes = episodes
+        if self._seeds:
+            self.seed, self._episodes = self._seeds[0], len(self._seeds)
         self.out = out
         self._record = record
         self.isolated = False
@@ -138,13 +149,17 @@ class LsyRun:
                 ) from error
         compile_missing(("successor",), console)
         world = SuccessorWorld(level)
-        random = LsyRandom(level, nominal(level), self.seed)
+        model = nominal(level)
+        if self._seeds is None:
+            randoms = [LsyRandom(level, model, self.seed)] * self._episodes
+        else:
+            randoms = [LsyRandom(level, model, seed) for seed in self._seeds]
         referee = LsyReferee(level)
         results: list[LsyEpisodeResult] = []
         with contextlib.ExitStack() as stack:
             contestant = self._contestant(stack)
             stack.callback(contestant.close)
-            for index in range(self._episodes):
+            for index, random in enumerate(randoms):
                 result = self._episode(index, contestant, world, referee, random.reset())
                 results.append(result)
                 if result.termination in (CONTROLLER_ERROR, INTERRUPTED):
@@ -160,7 +175,9 @@ class LsyRun:
         if self._sandbox:
             from crazyarena.runner.contestant.sandbox.lsy import LsySandboxed
 
-            sandboxed = LsySandboxed(self._file, model, require=self._require)
+            sandboxed = LsySandboxed(
+                self._file, model, require=self._require, parameters=self._parameters
+            )
             self._console.print(sandboxed.announcement, highlight=False, soft_wrap=True)
             return sandboxed
         work = self._file.parent if self.out is None else self.out / "work"
@@ -176,7 +193,8 @@ class LsyRun:
         referee: LsyReferee,
         draw: LsyDraw,
     ) -> LsyEpisodeResult:
-        recorder = self._recorder(index, draw) if self._record and self.out is not None else None
+        kept = self._record and self.out is not None
+        recorder = self._recorder(index, draw) if kept or self._on_episode is not None else None
         try:
             episode = LsyEpisode(index, self.level, contestant, world, referee, recorder=recorder)
             result = episode.fly(draw)
@@ -185,16 +203,17 @@ class LsyRun:
                 recorder.close()
         if recorder is not None and recorder.file is not None:
             result.files["recording"] = recorder.file.name
+        if self._on_episode is not None:
+            self._on_episode(result, recorder, draw)
         return result
 
     def _recorder(self, index: int, draw: LsyDraw) -> Recorder:
-        assert self.out is not None
         metadata = {
             "crazyarena": __version__,
             "level": self.level.name,
             "level_file": json.dumps(self.level.config),
             "rng": str(self.level.rng.value),
-            "seed": str(self.seed),
+            "seed": str(self.seed if self._seeds is None else self._seeds[index]),
             "episode": str(index),
             "submission_sha256": controller_hash(self._file),
             "command_layout": COMMAND_LAYOUT[self.level.env.control_mode],
@@ -205,7 +224,10 @@ class LsyRun:
             "obstacles": json.dumps(draw.obstacles.tolist()),
         }
         scene = lsy_scene(draw.gates, draw.obstacles)
-        return Recorder(self.out / f"episode_{index:03d}.mcap", metadata, scene, WallClock())
+        file = None
+        if self._record and self.out is not None:
+            file = self.out / f"episode_{index:03d}.mcap"
+        return Recorder(file, metadata, scene, WallClock())
 
     def _write(self, result: LsyResult, contestant: LsyContestant) -> None:
         assert self.out is not None
@@ -223,6 +245,7 @@ class LsyRun:
                 "profile": "successor",
                 "rng": self.level.rng.value,
                 "seed": self.seed,
+                **({"seeds": list(self._seeds)} if self._seeds else {}),
                 "submission": str(self._file),
                 "submission_sha256": contestant.digest,
                 "contestant": contestant.description,

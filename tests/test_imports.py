@@ -121,6 +121,7 @@ def test_the_check_itself(path, source, count):
 ROOMS = (
     ("cli",),
     ("cli.options",),
+    ("tournament",),
     ("",),  # whole commands as programs
     ("campaign.udp",),
     ("campaign",),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -18,6 +18,8 @@ from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 
 if TYPE_CHECKING:
+    from crazyarena.levels.draw_file import LoadedDraw
+    from crazyarena.levels.schema import Level
     from crazyarena.runner.trial.options import FlightOptions
     from crazyarena.sim_backend.vehicles import VehicleChoice
 
@@ -47,6 +49,13 @@ def dry_run(
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")] = None,
     secret: Secret = False,
+    draw: Annotated[
+        Path | None,
+        typer.Option(
+            help="Fly what a draw file says: its level, in the worlds of its seeds (of a "
+            "tournament's results)."
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Results folder. Default: a new one under runs/.")
     ] = None,
@@ -83,13 +92,17 @@ def dry_run(
             if show(submission, level or "sim2real", set_ or [], seed, out, options, vehicle):
                 return
             raise typer.Exit(EXIT_NOT_CLEAN)
-        if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options):
+        drawn = None
+        if draw is not None:
+            given = (level, seed, episodes, set_ or None, options.secret or None)
+            drawn, options = _drawn(draw, given, options)
+        if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options, drawn):
             return
         from crazyarena.runner.dry_run import DryRun
 
         run = DryRun(
             submission=submission,
-            level=level or "level0",
+            level=level or "level0" if drawn is None else cast("Level", drawn.level),
             overrides=set_ or [],
             episodes=episodes,
             seed=seed,
@@ -99,10 +112,29 @@ def dry_run(
             options=options,
             vehicle=vehicle,
             spread=vehicle_spread,
+            seeds=None if drawn is None else drawn.seeds,
         )
         result = run.run()
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)
+
+
+def _drawn(
+    path: Path, given: tuple[object, ...], options: FlightOptions
+) -> tuple[LoadedDraw, FlightOptions]:
+    """A draw file, and the options with what it says of thinking."""
+    from crazyarena.errors import InputError
+    from crazyarena.levels.draw_file import read_draw
+
+    names = ("--level", "--seed", "--episodes", "--set", "--secret")
+    for name, value in zip(names, given, strict=True):
+        if value is not None:
+            raise InputError(f"--draw and {name} exclude each other: the draw file says it")
+    drawn = read_draw(path)
+    if options.compute is None:
+        options = replace(options, compute=drawn.file.compute)
+    options.check()
+    return drawn, options
 
 
 def _flew_lsy(
@@ -114,19 +146,24 @@ def _flew_lsy(
     overrides: list[str],
     record: bool,
     options: FlightOptions,
+    drawn: LoadedDraw | None = None,
 ) -> bool:
     """Fly a controller of lsy_drone_racing, told by its file; False if this is none."""
-    looks_like = submission is not None or (level or "").endswith(".toml")
+    looks_like = submission is not None or drawn is not None or (level or "").endswith(".toml")
     if not looks_like and not (level or "").startswith("lsy/"):
         return False
     from crazyarena.errors import InputError
-    from crazyarena.levels.lsy import is_lsy_level
+    from crazyarena.levels.lsy import LsyLevel, is_lsy_level
 
     foreign = level is not None and is_lsy_level(level)
+    if drawn is not None:
+        foreign = isinstance(drawn.level, LsyLevel)
+        level = drawn.level.name
     if not foreign:
         from crazyarena.runner.contestant.contract_lsy.submission import find_controller
 
-        assert submission is not None
+        if submission is None:
+            return False
         file = find_controller(submission.expanduser())
         if file is None:
             return False
@@ -159,7 +196,7 @@ def _flew_lsy(
     console = Console()
     run = LsyRun(
         submission,
-        level or "lsy/level0",
+        drawn.level if drawn is not None else level or "lsy/level0",  # type: ignore[arg-type]
         overrides,
         episodes=episodes or 1,
         seed=seed,
@@ -167,6 +204,7 @@ def _flew_lsy(
         sandbox=bool(options.sandbox) or options.require_sandbox,
         require_sandbox=options.require_sandbox,
         console=console,
+        seeds=None if drawn is None else drawn.seeds,
     )
     run.out = results_folder(out, submission, run.level.name)
     result = run.run()

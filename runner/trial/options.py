@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import secrets
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 from crazyarena.errors import InputError
 from crazyarena.levels.schema import Level, Profile
-from crazyarena.runner.contestant.compute import FREE, MEASURED, Compute, parse_compute
+from crazyarena.runner.contestant.compute import (
+    FREE,
+    MEASURED,
+    Budget,
+    Compute,
+    parse_compute,
+)
 from crazyarena.runner.contestant.sandbox.limits import Limits
 from crazyarena.runner.trial.control_loop import Deadlines, LatePolicy
 
@@ -21,7 +28,8 @@ class FlightOptions:
     sandbox: the contestant in a process of its own; None: on arena levels, not on those of the
     competition profile. secret: the level is drawn from a seed that nobody can guess. compute:
     ``measured``, ``free`` or ``fixed=MS``; None: measured on arena levels, free on the others.
-    factor: how much slower the flight machine is.
+    factor: how much slower the flight machine is. budget: wall time of a contestant whose
+    thinking does not count. parameters: told to the contestant, see :class:`.Sandboxed`.
     """
 
     sandbox: bool | None = None
@@ -32,6 +40,8 @@ class FlightOptions:
     late: LatePolicy = LatePolicy.HOLD
     max_misses: int = 15
     limits: Limits = field(default_factory=Limits)
+    budget: Budget = field(default_factory=Budget)
+    parameters: Mapping[str, object] = field(default_factory=dict)
 
     def check(self) -> None:
         """Raise InputError for what contradicts itself."""
@@ -67,4 +77,4 @@ class FlightOptions:
         """Deadlines for a level."""
         default = MEASURED if level.profile is Profile.ARENA else FREE
         compute: Compute = parse_compute(self.compute or default, self.factor)
-        return Deadlines(self.late, self.max_misses, compute)
+        return Deadlines(self.late, self.max_misses, replace(compute, budget=self.budget))

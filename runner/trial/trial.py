@@ -10,7 +10,7 @@ reset tells the contestant nothing.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from crazyarena import __version__
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels import dump_level
-from crazyarena.levels.draw import Draw, LevelRandom
+from crazyarena.levels.draw import Draw, LevelRandom, SeparateDraws
 from crazyarena.levels.schema import Level
 from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.dialogue import Contestant
@@ -69,7 +69,7 @@ class Trial:
     staging: what surrounds a run; nothing by default.
     deadlines: those of the level's profile by default.
     episodes: how many; default the level's own number.
-    seed: replaces the level's own.
+    seed: replaces the level's own. seeds: one for each episode instead, which are then as many.
     out: existing folder for recordings, or None to record nothing.
     keep_states: keep the flight in memory for ``on_episode`` even if nothing is recorded.
     on_step: called with (episode, time s) after every control step.
@@ -86,6 +86,7 @@ class Trial:
         deadlines: Deadlines | None = None,
         episodes: int | None = None,
         seed: int | None = None,
+        seeds: Sequence[int] | None = None,
         out: Path | None = None,
         keep_states: bool = False,
         on_step: Callable[[int, float], None] | None = None,
@@ -100,6 +101,9 @@ class Trial:
         self._deadlines = deadlines or FlightOptions().deadlines(level)
         self._episodes = level.num_episodes if episodes is None else episodes
         self._seed = level.seed if seed is None else seed
+        self._seeds = seeds
+        if seeds is not None:
+            self._episodes = len(seeds)
         self._out = out.resolve() if out is not None else None
         self._keep_states = keep_states
         self._on_step = on_step
@@ -111,7 +115,11 @@ class Trial:
 
     def run(self) -> TrialResult:
         """Fly; raises InputError when the controller cannot be constructed."""
-        random = LevelRandom(self._level, self._seed)
+        random: LevelRandom | SeparateDraws
+        if self._seeds is None:
+            random = LevelRandom(self._level, self._seed)
+        else:
+            random = SeparateDraws(self._level, self._seeds)
         referee = Referee(self._level)
         results: list[EpisodeResult] = []
         obs: list[Any] = []
@@ -268,7 +276,7 @@ class Trial:
             "crazyarena": __version__,
             "level": self._level.name,
             "level_file": dump_level(self._level),
-            "seed": str(self._seed),
+            "seed": str(self._seed if self._seeds is None else self._seeds[index]),
             "episode": str(index),
             "submission_sha256": self._contestant.digest,
             "start": json.dumps(start.tolist()),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,16 @@ class LsySandboxed(Sandboxed):
     """
 
     def __init__(
-        self, file: Path, drone_model: str, limits: Limits | None = None, *, require: bool = False
+        self,
+        file: Path,
+        drone_model: str,
+        limits: Limits | None = None,
+        *,
+        require: bool = False,
+        parameters: Mapping[str, object] | None = None,
     ) -> None:
         self._model = drone_model
-        super().__init__(file, limits, require=require)
+        super().__init__(file, limits, require=require, parameters=parameters)
 
     def _copied(self) -> tuple[Path, str, Box]:
         box = Box(self.path, self._limits.copy_size, bundle_root(self.path))
@@ -38,7 +45,8 @@ class LsySandboxed(Sandboxed):
     def make(self, obs: Observation, config: dict[str, Any]) -> None:  # type: ignore[override]
         # The seed would tell what nobody has seen yet.
         env = {**config.get("env", {}), "seed": -1}
-        payload = (obs, {**config, "env": env})
+        told = {"parameters": self._parameters} if self._parameters else {}
+        payload = (obs, {**config, "env": env, **told})
         self._request("make", payload, self._limits.make_timeout, "the controller's constructor")
 
     def ask(self, question: LsyQuestion) -> LsyAnswer:  # type: ignore[override]

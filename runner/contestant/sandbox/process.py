@@ -13,6 +13,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from crazyarena.errors import CrazyarenaError, InputError
 from crazyarena.levels.schema import Level
 from crazyarena.plain_text import shown
-from crazyarena.runner.contestant.dialogue import Answer, Question
+from crazyarena.runner.contestant.dialogue import PARAMETERS, Answer, Question
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.contestant.sandbox import bubblewrap, quota, wire
 from crazyarena.runner.contestant.sandbox.box import Box
@@ -62,6 +63,8 @@ class Sandboxed:
     submission: folder or .py file; it is copied, nothing is ever written to it.
     limits: resources of the process.
     require: refuse to go on unless files, network and other processes are shut off.
+    parameters: plain data that the contestant is told, as JSON in the environment variable
+        ``CRAZYARENA_PARAMETERS`` and as ``parameters`` of what its constructor is given.
 
     Raises
     ------
@@ -70,8 +73,14 @@ class Sandboxed:
     """
 
     def __init__(
-        self, submission: Path, limits: Limits | None = None, *, require: bool = False
+        self,
+        submission: Path,
+        limits: Limits | None = None,
+        *,
+        require: bool = False,
+        parameters: Mapping[str, object] | None = None,
     ) -> None:
+        self._parameters = dict(parameters or {})
         self.path = submission.expanduser().resolve()
         self._limits = limits or Limits()
         self._step: int | None = None
@@ -307,6 +316,7 @@ class Sandboxed:
             "PYTHONDONTWRITEBYTECODE": "1",
             "PYTHONUNBUFFERED": "1",
             **dict.fromkeys(_THREADS, "1"),
+            **({PARAMETERS: json.dumps(self._parameters)} if self._parameters else {}),
         }
 
     def _await_ready(self, require: bool) -> dict[str, Any]:
