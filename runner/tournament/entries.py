@@ -123,8 +123,10 @@ def _in_folder(folder: Path) -> list[_Team]:
     for path in inside:
         if path.name.startswith((".", "__")):
             continue
-        if path.is_dir() or path.suffix == ".py":
-            teams.append(_Team(name=path.stem if path.is_file() else path.name, path=path.name))
+        if path.is_dir():
+            teams.append(_Team(name=path.name, path=path.name))
+        elif path.suffix == ".py":
+            teams.append(_Team(name=path.stem, path=path.name))
     if not teams:
         raise InputError(
             f"{folder}: no submissions here. Expected a folder, or a .py file, for each team"

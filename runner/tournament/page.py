@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -258,6 +259,7 @@ def _team(
     blocks = {level.key: level.blocks for level in results.tournament.plan.levels}
     files = {(row["level"], row["draw"]): row["draw_file"] for row in own if row["draw_file"]}
     success = results.tournament.rules.qualification.success
+    name = shlex.quote(Path(team.source).name)
     levels = []
     for level in results.levels:
         cell = results.cells.get((team.slug, level.key))
@@ -297,7 +299,7 @@ def _team(
                     "draw_file": draw_file,
                     "nth": nth,
                     "replay": draw_file
-                    and f"crazyarena dry-run {Path(team.source).name} --draw {draw_file} --sandbox",
+                    and f"crazyarena dry-run {name} --draw {draw_file} --sandbox",
                     "flights": flights([e]),
                 }
             )
