@@ -153,8 +153,8 @@ def _fly(
         if isinstance(draw.level, LsyLevel)
         else len(draw.level.track.gates)
     )
+    reason = SUBMISSION_ERROR if trouble and not flown else NOT_FLOWN
     for _ in range(len(flown), len(order.draws)):
-        reason = SUBMISSION_ERROR if trouble and not flown else NOT_FLOWN
         why = _last_line(trouble) if trouble else "the controller failed in an episode before"
         flown.append({**_nothing(gates), "outcome": reason, "why": why, "error": trouble})
     recordings = {}

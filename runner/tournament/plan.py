@@ -178,7 +178,7 @@ def plan_level(
     """
     numbers = tuple(range(len(seeds)))
     one_each = tuple((number,) for number in numbers)
-    if is_lsy_level(name):
+    if is_lsy_level(name) or name.startswith("lsy/"):
         lsy = load_lsy_level(name, overrides)
         if lsy.rng is LsyRng.THREEFRY:
             raise InputError(
