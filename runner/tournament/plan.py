@@ -169,8 +169,9 @@ def plan_level(
     lives: Lives,
     overrides: Sequence[str] = (),
     key: str | None = None,
+    most: int | None = None,
 ) -> PlannedLevel:
-    """A level by name or file, flown with these seeds.
+    """A level by name or file, flown with these seeds; a block has ``most`` draws at most.
 
     Raises
     ------
@@ -186,13 +187,13 @@ def plan_level(
                 "Use pcg64"
             )
         stem = Path(name).name.removesuffix(".toml")
-        step = len(seeds) if lives is Lives.LEVEL else _LSY_BLOCK
+        step = most or (len(seeds) if lives is Lives.LEVEL else _LSY_BLOCK)
         return PlannedLevel(
             key or f"lsy-{_key(stem)}",
             f"lsy/{stem}" if name.startswith("lsy/") else stem,
             LSY,
             "successor",
-            tuple(numbers[k : k + step] for k in range(0, len(numbers), step)),
+            _cut(numbers, step),
             tuple(seeds),
             toml=(f"{key or 'lsy-' + _key(stem)}.toml", lsy_text(name)),
             overrides=tuple(overrides),
@@ -207,7 +208,7 @@ def plan_level(
         level.name,
         IROS,
         level.profile.value,
-        (numbers,) if together else one_each,
+        _cut(numbers, most or len(numbers)) if together else one_each,
         tuple(seeds),
         # One draw after the other is from a seed of its own, whatever the level says.
         level=level.model_copy(update={"num_episodes": 1}),
@@ -217,6 +218,10 @@ def plan_level(
 
 
 _TURN = 1.5707963267948966  # a gate of theirs is flown along its x axis, one of 2022 along y
+
+
+def _cut(numbers: Sequence[int], step: int) -> tuple[tuple[int, ...], ...]:
+    return tuple(tuple(numbers[k : k + step]) for k in range(0, len(numbers), step))
 
 
 def _key(name: str) -> str:

@@ -176,15 +176,14 @@ class Watch:
     def flown(self, lines: Sequence[Mapping[str, Any]]) -> None:
         """Episodes have come back."""
         self._fresh += len(lines)
-        if not self._console.is_terminal:
-            done = len(self._tournament.journal.episodes)
-            head = lines[0] if lines else None
-            if head is not None:
-                good = sum(bool(line["clean"]) for line in lines)
-                self._console.print(
-                    f"{done}: {head['team']} on {head['level']}, {good} of {len(lines)} clean",
-                    markup=False, highlight=False,
-                )  # fmt: skip
+        if self._console.is_terminal or not lines:
+            return
+        plan = self._tournament.plan
+        team = next(t.name for t in plan.teams if t.slug == lines[0]["team"])
+        clean = sum(bool(line["clean"]) for line in lines)
+        text = f"{self.done()} of {self._tournament.total}: {team} on "
+        text += f"{plan.level(lines[0]['level']).name}, {clean} of {len(lines)} clean"
+        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def tick(self) -> None:
         """Called often; draws now and then."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from crazyarena.runner.tournament.entries import _slug
 from crazyarena.runner.tournament.plan import Options, Plan, Team, plan_level, write_plan
 from crazyarena.runner.tournament.rules import load_rules
 from crazyarena.runner.tournament.run import Tournament, open_tournament
@@ -58,9 +59,10 @@ def planned(
 ) -> Tournament:
     """A tournament in which nothing has flown, of teams without submissions."""
     rule_set, text = load_rules(rules)
+    taken = set[str]()
     plan = Plan(
         tuple(
-            Team(name, name.lower().replace(" ", "-"), f"submissions/{name}", "iros2022",
+            Team(name, _slug(name, taken), f"submissions/{name}", "iros2022",
                  archive="0" * 64, place=name)
             for name in names
         ),
