@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from crazyarena.errors import InputError
 from crazyarena.levels.lsy import LsyLevel, load_lsy_level
 from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, fresh_seed
 from crazyarena.plain_text import shown_in
+from crazyarena.runner.contestant.compute import Budget
 from crazyarena.runner.contestant.contract_lsy.dialogue import LsyContestant
 from crazyarena.runner.contestant.contract_lsy.pilot import LsyInProcess
 from crazyarena.runner.contestant.contract_lsy.submission import (
@@ -27,7 +29,11 @@ from crazyarena.runner.contestant.contract_lsy.submission import (
     find_controller,
 )
 from crazyarena.runner.judging.lsy_rules import LsyReferee
-from crazyarena.runner.judging.result import CONTROLLER_ERROR, INTERRUPTED
+from crazyarena.runner.judging.result import (
+    CONTROLLER_ERROR,
+    CONTROLLER_TIMEOUT,
+    INTERRUPTED,
+)
 from crazyarena.runner.records.lsy_scene import lsy_scene
 from crazyarena.runner.records.outcome_table import computing
 from crazyarena.runner.records.recorder import Recorder
@@ -84,7 +90,7 @@ class LsyRun:
     record: write an MCAP file an episode into it.
     sandbox: run the controller in a process of its own; require: refuse to without full walls.
     seeds: one for each episode, which are then as many, and as large as one likes.
-    parameters: told to a sandboxed controller, see :class:`.Sandboxed`.
+    parameters: told to a sandboxed controller, see :class:`.Sandboxed`; budget: its wall time.
     on_episode: told of every episode's result, recorder and draw, whatever is kept of it.
 
     Raises
@@ -107,9 +113,11 @@ class LsyRun:
         console: Console | None = None,
         seeds: Sequence[int] | None = None,
         parameters: Mapping[str, object] | None = None,
+        budget: Budget | None = None,
         on_episode: Callable[[LsyEpisodeResult, Recorder | None, LsyDraw], None] | None = None,
     ) -> None:
         self._parameters = parameters
+        self._budget = budget
         self._on_episode = on_episode
         self._seeds = None if seeds is None else tuple(seeds)
         self.level = level if isinstance(level, LsyLevel) else load_lsy_level(level, overrides)
@@ -162,7 +170,7 @@ class LsyRun:
             for index, random in enumerate(randoms):
                 result = self._episode(index, contestant, world, referee, random.reset())
                 results.append(result)
-                if result.termination in (CONTROLLER_ERROR, INTERRUPTED):
+                if result.termination in (CONTROLLER_ERROR, CONTROLLER_TIMEOUT, INTERRUPTED):
                     break
         self.isolated = bool(contestant.description["isolated"])
         outcome = LsyResult(results, self._episodes, self.seed)
@@ -176,7 +184,11 @@ class LsyRun:
             from crazyarena.runner.contestant.sandbox.lsy import LsySandboxed
 
             sandboxed = LsySandboxed(
-                self._file, model, require=self._require, parameters=self._parameters
+                self._file,
+                model,
+                require=self._require,
+                parameters=self._parameters,
+                patience=None if self._budget is None else self._budget.step,
             )
             self._console.print(sandboxed.announcement, highlight=False, soft_wrap=True)
             return sandboxed
@@ -196,7 +208,15 @@ class LsyRun:
         kept = self._record and self.out is not None
         recorder = self._recorder(index, draw) if kept or self._on_episode is not None else None
         try:
-            episode = LsyEpisode(index, self.level, contestant, world, referee, recorder=recorder)
+            episode = LsyEpisode(
+                index,
+                self.level,
+                contestant,
+                world,
+                referee,
+                recorder=recorder,
+                most=math.inf if self._budget is None else self._budget.episode,
+            )
             result = episode.fly(draw)
         finally:
             if recorder is not None:

@@ -40,6 +40,7 @@ _MOST_TEXT = 4000  # characters of a contestant's traceback that are kept
 _MOST_EVENTS = 100
 _EVERY = 25  # ticks of 2 ms between points of a path, before those that say nothing are left out
 _TOLERANCE = 0.02  # m
+_ANSWERS = 12  # times the patience for one answer: all answers of an episode
 
 Keep = Callable[[int, Recorder | None], None]
 _one_at_a_time = threading.Lock()
@@ -166,6 +167,12 @@ def _fly(
     return flown, recordings
 
 
+def _budget(order: Order) -> Budget:
+    """Wall time of a contestant: who is slow all the time must not hold up the others either."""
+    episode = _ANSWERS * order.patience
+    return Budget(order.patience, episode, episode * len(order.draws))
+
+
 def _fly_2022(
     order: Order,
     draw: LoadedDraw,
@@ -179,7 +186,7 @@ def _fly_2022(
         sandbox=True,
         require_sandbox=True,
         compute=draw.file.compute,
-        budget=Budget(step=order.patience),
+        budget=_budget(order),
         parameters=order.parameters,
     )
     results: list[EpisodeResult] = []
@@ -255,6 +262,7 @@ def _fly_lsy(
         console=Console(file=io.StringIO()),
         seeds=draw.seeds,
         parameters=order.parameters,
+        budget=_budget(order),
         on_episode=told,
     ).run()
 

@@ -31,8 +31,10 @@ class LsySandboxed(Sandboxed):
         *,
         require: bool = False,
         parameters: Mapping[str, object] | None = None,
+        patience: float | None = None,
     ) -> None:
         self._model = drone_model
+        self._patience = _PATIENCE if patience is None else patience
         super().__init__(file, limits, require=require, parameters=parameters)
 
     def _copied(self) -> tuple[Path, str, Box]:
@@ -51,12 +53,12 @@ class LsySandboxed(Sandboxed):
 
     def ask(self, question: LsyQuestion) -> LsyAnswer:  # type: ignore[override]
         super().ask(question)  # type: ignore[arg-type]
-        answer: Any = self.wait(_PATIENCE)
+        answer: Any = self.wait(self._patience)
         if answer is None:
             self.kill()
             return LsyAnswer(
                 question.step,
-                error=f"step {question.step}: no answer within {_PATIENCE:g} s",
+                error=f"step {question.step}: no answer within {self._patience:g} s",
             )
         if isinstance(answer, Answer):
             return LsyAnswer(answer.step, error=answer.error or "no answer", seconds=answer.seconds)

@@ -194,6 +194,29 @@ def test_one_that_hangs_is_not_waited_for_longer_than_said(tmp_path):
     assert "0.5 s" in flown.episodes[0]["error"]
 
 
+def test_one_that_is_slow_all_the_time_is_ended_too(tmp_path):
+    """Each answer in time, and all of them together for ever."""
+    import time
+
+    from crazyarena.levels.lsy import lsy_text
+
+    slow = "__import__('time').sleep(0.09)"
+    toml = ("level.toml", lsy_text("lsy/level2"))
+    lsy = STATE.replace("        place = self", f"        {slow}\n        place = self")
+    take_off = "return (Command.TAKEOFF, [1.0, 1.0]) if time == 0 else (Command.NONE, [])"
+    long = order(seeds=(1,), patience=0.1, record=False, overrides=["episode_length=33.0"])
+    jobs = {
+        "a": (long, controller(f"{slow}\n        {take_off}")),
+        "b": (order("level.toml", (1,), toml=toml, patience=0.1, record=False), lsy),
+    }
+    for name, (job, source) in jobs.items():
+        began = time.monotonic()
+        (line,) = fly(job, write(tmp_path / name, source)).episodes
+        assert "wall time" in (line["error"] or ""), line
+        assert not line["clean"]
+        assert time.monotonic() - began < 60.0
+
+
 def test_one_that_does_not_load_says_why(tmp_path):
     flown = fly(order(), write(tmp_path / "team", "import nothing_of_this_name\n"))
     assert [e["outcome"] for e in flown.episodes] == [SUBMISSION_ERROR, SUBMISSION_ERROR]
