@@ -79,6 +79,14 @@ def tournament(
             metavar="[TEAM=]RUN", help="Take in a run of crazyarena fly; may be repeated."
         ),
     ] = None,
+    compare: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TEAM,TEAM",
+            help="Compare two teams on the same draws; may be repeated. Neighbours of the "
+            "leaderboard always are.",
+        ),
+    ] = None,
     watch: Annotated[
         bool, typer.Option("--watch", help="Show the whole table while it flies.")
     ] = False,
@@ -113,9 +121,12 @@ def tournament(
                 )
             out = results_folder(None, source, "tournament")
         names = None if levels is None else [n.strip() for n in levels.split(",") if n.strip()]
+        pairs = [_pair(text) for text in compare or []]
         event = open_tournament(out, source, names, chosen, rules, title)
         try:
-            failed = _fly(event, console, scheduler, workers, add_trial or [], watch, parquet)
+            failed = _fly(
+                event, console, scheduler, workers, add_trial or [], watch, parquet, pairs
+            )
         finally:
             event.close()
     if failed:
@@ -130,13 +141,15 @@ def _fly(
     trials: list[str],
     watch: bool,
     parquet: bool,
+    compare: list[tuple[str, str]],
 ) -> bool:
     """Fly, write and tell; whether something is missing."""
+    import itertools
     import os
 
     from crazyarena.runner.tournament.engine import Engine
     from crazyarena.runner.tournament.page import write_pages
-    from crazyarena.runner.tournament.results import assemble, write_files
+    from crazyarena.runner.tournament.results import assemble, named, write_files
     from crazyarena.runner.tournament.run import measured_remark
     from crazyarena.runner.tournament.tables import Watch, tell
     from crazyarena.runner.tournament.trials import add_trial
@@ -158,6 +171,8 @@ def _fly(
     if remark:
         event.remarks.append(remark)
     event.warm_up(console)
+    for name in itertools.chain.from_iterable(compare):
+        named(event.plan.teams, name)
     failed: list[str] = []
     try:
         count = workers or len(os.sched_getaffinity(0))
@@ -174,9 +189,18 @@ def _fly(
         say("Stopped. What was flown is safe; the same --out goes on.")
         failed = ["stopped"]
     event.remarks += [f"could not be flown: {reason}" for reason in failed]
-    results = assemble(event)
+    results = assemble(event, compare)
     write_files(results, parquet)
     page = write_pages(results)
     tell(results, console)
     say(f"Results in {event.out}; page: {page}")
     return bool(failed)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    from crazyarena.errors import InputError
+
+    first, comma, second = text.partition(",")
+    if not comma or not first.strip() or not second.strip():
+        raise InputError(f"--compare {text}: expected the names of two teams, with a comma between")
+    return first.strip(), second.strip()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 import statistics as plain
 from collections.abc import Mapping, Sequence
@@ -85,8 +86,17 @@ class Results:
         return next(team for team in self.teams if team.slug == slug)
 
 
-def assemble(tournament: Tournament) -> Results:
-    """Score what the journal holds."""
+def assemble(tournament: Tournament, asked: Sequence[tuple[str, str]] = ()) -> Results:
+    """Score what the journal holds.
+
+    Parameters
+    ----------
+    asked: names of teams to compare, besides each with the next one of the leaderboard.
+
+    Raises
+    ------
+    InputError: no team of such a name.
+    """
     plan, rules = tournament.plan, tournament.rules
     lines = list(tournament.journal.episodes.values())
     tracks = trial_levels(lines)
@@ -124,7 +134,8 @@ def assemble(tournament: Tournament) -> Results:
     }  # fmt: skip
     by_slug = {team.slug: team for team in plan.teams}
     pairs = []
-    for first, second in zip(standings.order, standings.order[1:], strict=False):
+    wanted = [(named(plan.teams, a).slug, named(plan.teams, b).slug) for a, b in asked]
+    for first, second in [*wanted, *itertools.pairwise(standings.order)]:
         pairs.append(
             (
                 by_slug[first],
@@ -142,6 +153,16 @@ def assemble(tournament: Tournament) -> Results:
     )
     results.remarks = [*tournament.remarks, *_remarks(tournament, lines, levels)]
     return results
+
+
+def named(teams: Sequence[Team], name: str) -> Team:
+    """The team of a name, in any case; raises InputError for none."""
+    for team in teams:
+        if name.strip().casefold() in (team.name.casefold(), team.slug):
+            return team
+    raise InputError(
+        f"{name}: no team of this name (there are {', '.join(team.name for team in teams)})"
+    )
 
 
 def _by_draw(

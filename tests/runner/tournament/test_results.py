@@ -48,6 +48,16 @@ def test_the_table_says_points_rates_failures_and_doubt(event):
         text_of(event, width)
 
 
+def test_any_two_teams_are_compared_when_asked_for(event):
+    fly(event, "alpha", "level0", flight_time=7.0)
+    fly(event, "beta-b", "level0")
+    results = assemble(event, [("beta [B]", "alpha")])
+    assert next((a.name, b.name) for a, b, _ in results.comparisons) == ("Beta [b]", "Alpha")
+    assert results.comparisons[0][2].difference == 1.0
+    with pytest.raises(InputError, match=r"Gamma: no team of this name \(there are Alpha, Beta"):
+        assemble(event, [("Alpha", "Gamma")])
+
+
 def test_kinds_of_processor_are_remarked(event):
     fly(event, "alpha", "level0", worker={"cpu": "one"})
     fly(event, "beta-b", "level0", worker={"cpu": "two"})
