@@ -151,9 +151,12 @@ class Engine:
                 told = True
             time.sleep(_LOOK)
 
-    def workers(self) -> dict[str, Any]:
-        """What the scheduler knows of its workers, by address."""
-        found: dict[str, Any] = self._client.scheduler_info(n_workers=-1)["workers"]
+    def workers(self) -> dict[str, int]:
+        """Threads of the workers that the scheduler has, by address."""
+        try:
+            found: dict[str, int] = self._client.nthreads()
+        except (OSError, TimeoutError):
+            raise self._lost() from None
         return found
 
     def run(
@@ -207,7 +210,7 @@ class Engine:
                 self._client.cancel(list(running), force=True)
 
     def _threads(self) -> int:
-        return max(1, sum(w.get("nthreads", 1) for w in self.workers().values()))
+        return max(1, sum(self.workers().values()))
 
     def _submit(self, attempt: _Try, wanted: dict[str, Any], near: str) -> Any:
         where: dict[str, Any] = {}

@@ -136,13 +136,10 @@ def assemble(tournament: Tournament, asked: Sequence[tuple[str, str]] = ()) -> R
     pairs = []
     wanted = [(named(plan.teams, a).slug, named(plan.teams, b).slug) for a, b in asked]
     for first, second in [*wanted, *itertools.pairwise(standings.order)]:
-        pairs.append(
-            (
-                by_slug[first],
-                by_slug[second],
-                statistics.compare(_by_draw(cells, first, tracks), _by_draw(cells, second, tracks)),
-            )
-        )
+        both = (_by_draw(cells, slug, tracks) for slug in (first, second))
+        comparison = statistics.compare(*both)
+        if comparison.pairs or (first, second) in wanted:
+            pairs.append((by_slug[first], by_slug[second], comparison))
     results = Results(
         tournament,
         [by_slug[slug] for slug in standings.order],
