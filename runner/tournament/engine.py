@@ -8,6 +8,7 @@ is given nothing more. At no time is more under way than the workers need.
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import logging
 import os
 import time
@@ -298,8 +299,4 @@ def _nobody(unfit: dict[str, str]) -> str:
 
 
 def _dashboard() -> str | None:
-    try:
-        import bokeh  # noqa: F401
-    except ImportError:
-        return None
-    return "127.0.0.1:0"
+    return None if importlib.util.find_spec("bokeh") is None else "127.0.0.1:0"
