@@ -325,6 +325,51 @@ def test_all_workers_unfit_is_told(tmp_path, monkeypatch):
     assert len(said) == 1
 
 
+@pytest.mark.parametrize(
+    ("cores", "asked", "count", "pins"),
+    [
+        ([0, 1], None, 1, [[0, 1]]),
+        ([0, 1, 2, 3, 7], None, 2, [[0, 1], [2, 3]]),
+        ([0], None, 1, []),
+        ([0, 1], 2, 2, []),
+    ],
+)
+def test_measured_thinking_gets_two_processors_or_is_not_comparable(
+    monkeypatch, cores, asked, count, pins
+):
+    from crazyarena.runner.tournament import engine
+
+    monkeypatch.setattr(engine.os, "sched_getaffinity", lambda pid: set(cores))
+    cluster = Engine(workers=asked, measured=True)
+    assert cluster._count == count
+    assert list(cluster._pins.values()) == pins
+    assert not Engine(workers=asked)._pins
+
+
+def test_a_worker_and_its_contestants_stay_on_their_processors(tmp_path):
+    order, archives = made_order(tmp_path)
+    code = """
+import os, pickle, sys
+from crazyarena.runner.tournament import worker
+order, archives, core = pickle.loads(bytes.fromhex(sys.argv[1]))
+wanted = {**worker.identity(), "pins": {"": [core]}}
+seen = []
+worker._kept = lambda: __import__("pathlib").Path(archives) / "kept"
+worker.fly = lambda order, place: seen.append(__import__("subprocess").check_output(
+    [sys.executable, "-c", "import os; print(sorted(os.sched_getaffinity(0)))"], text=True).strip())
+answer = worker.work(order, wanted, archives)
+print(answer.worker["cores"], answer.worker["pinned"], *seen)
+"""
+    import pickle
+
+    core = max(os.sched_getaffinity(0))
+    packed = pickle.dumps((order, str(archives), core)).hex()
+    done = subprocess.run(
+        [sys.executable, "-c", code, packed], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == f"[{core}] True [{core}]"
+
+
 # On a cluster of its own
 
 
