@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from crazyarena.errors import InputError, StorageError
 from crazyarena.levels.draw import Draw
-from crazyarena.levels.schema import Profile
+from crazyarena.levels.schema import Level, Profile
 from crazyarena.plain_text import shown, shown_line
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.in_process import InProcess
@@ -74,12 +74,14 @@ class DryRun:
     cameras: of an arena, instead of the usual ones. deck: on the vehicle, instead of cameras.
     view: show it in the browser; pace: times real time that it then flies at, 0 for as fast as it
         goes.
+    seeds: one for each episode, which are then as many; ``level`` may then be a loaded one.
+    on_episode: told of every episode's result, recorder and track, whatever is kept of it.
     """
 
     def __init__(
         self,
         submission: Path | None,
-        level: str,
+        level: str | Level,
         overrides: Sequence[str] = (),
         episodes: int | None = None,
         seed: int | None = None,
@@ -95,9 +97,12 @@ class DryRun:
         deck: str | None = None,
         view: View | ViewOptions | None = None,
         pace: float = 1.0,
+        seeds: Sequence[int] | None = None,
+        on_episode: Callable[[EpisodeResult, Recorder | None, Track], None] | None = None,
     ) -> None:
         self._deck = deck
         self._cameras = cameras
+        self._on_episode = on_episode
         self._wanted_view = view
         self._view: View | None = None
         self._pace = pace
@@ -111,6 +116,9 @@ class DryRun:
         self._options.check()
         self.entry.check(self._options)
         self._noise_seed = noise_seed
+        self._seeds = None if seeds is None else tuple(seeds)
+        if self._seeds:
+            seed, episodes = self._seeds[0], len(self._seeds)
         self._seed = self._options.seed(seed, self._level)
         self._path = self.entry.path
         self._episodes = self._level.num_episodes if episodes is None else episodes
@@ -195,6 +203,8 @@ class DryRun:
                 origin |= self.entry.provenance(self._seed, contestant.digest)
                 origin["contestant"] = contestant.description
                 self._flown.isolated = bool(contestant.description["isolated"])
+                if self._seeds:
+                    origin["seeds"] = list(self._seeds)
                 progress = stack.enter_context(self._progress())
                 display = _Display(progress, level.episode_length, self._episodes)
                 result = self._fly(world, contestant, display, origin, stack)
@@ -334,8 +344,9 @@ class DryRun:
         common: dict[str, Any] = {
             "episodes": self._episodes,
             "seed": self._seed,
+            "seeds": self._seeds,
             "out": self.out if self._record else None,
-            "keep_states": self._figure,
+            "keep_states": self._figure or self._on_episode is not None,
             "on_step": display,
             "on_episode": self._keep,
             "show": self._show,
@@ -457,6 +468,8 @@ class DryRun:
 
     def _keep(self, result: EpisodeResult, recorder: Recorder | None, track: Track) -> None:
         """After every episode: whatever ends the run later, this one was flown."""
+        if self._on_episode is not None:
+            self._on_episode(result, recorder, track)
         if self._figure and recorder is not None:
             states = np.array(recorder.states)
             gates = self.entry.drawn(track.gates)

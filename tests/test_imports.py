@@ -128,6 +128,7 @@ ROOMS = (
     ("cli",),
     ("cli.options",),
     ("check",),
+    ("tournament",),
     ("",),  # whole commands as programs
     ("campaign.udp",),
     ("campaign",),

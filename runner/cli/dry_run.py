@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -21,6 +21,8 @@ from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 from crazyarena.runner.cli.options.view import view_options
 
 if TYPE_CHECKING:
+    from crazyarena.levels.draw_file import LoadedDraw
+    from crazyarena.levels.schema import Level
     from crazyarena.runner.trial.options import FlightOptions
     from crazyarena.sim_backend.vehicles import VehicleChoice
     from crazyarena.viewer_process import ViewOptions
@@ -51,6 +53,13 @@ def dry_run(
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")] = None,
     secret: Secret = False,
+    draw: Annotated[
+        Path | None,
+        typer.Option(
+            help="Fly what a draw file says: its level, in the worlds of its seeds (of a "
+            "tournament's results)."
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Results folder. Default: a new one under runs/.")
     ] = None,
@@ -97,14 +106,22 @@ def dry_run(
             if show(submission, level or "sim2real", set_ or [], seed, out, options, vehicle):
                 return
             raise typer.Exit(EXIT_NOT_CLEAN)
-        if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options, view()):
+        drawn = None
+        if draw is not None:
+            given = (level, seed, episodes, set_ or None, options.secret or None)
+            drawn, options = _drawn(draw, given, options)
+        if _flew_lsy(
+            submission, level, episodes, seed, out, set_ or [], record, options, view(), drawn
+        ):
             return
         from crazyarena.runner.dry_run import DryRun
         from crazyarena.runner.trial.entry import default_level
 
         run = DryRun(
             submission=submission,
-            level=level or default_level(submission),
+            level=level or default_level(submission)
+            if drawn is None
+            else cast("Level", drawn.level),
             overrides=set_ or [],
             episodes=episodes,
             seed=seed,
@@ -116,10 +133,29 @@ def dry_run(
             spread=vehicle_spread,
             view=view(),
             pace=view_speed if view() else 0.0,
+            seeds=None if drawn is None else drawn.seeds,
         )
         result = run.run()
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)
+
+
+def _drawn(
+    path: Path, given: tuple[object, ...], options: FlightOptions
+) -> tuple[LoadedDraw, FlightOptions]:
+    """A draw file, and the options with what it says of thinking."""
+    from crazyarena.errors import InputError
+    from crazyarena.levels.draw_file import read_draw
+
+    names = ("--level", "--seed", "--episodes", "--set", "--secret")
+    for name, value in zip(names, given, strict=True):
+        if value is not None:
+            raise InputError(f"--draw and {name} exclude each other: the draw file says it")
+    drawn = read_draw(path)
+    if options.compute is None:
+        options = replace(options, compute=drawn.file.compute)
+    options.check()
+    return drawn, options
 
 
 def _flew_lsy(
@@ -132,19 +168,24 @@ def _flew_lsy(
     record: bool,
     options: FlightOptions,
     view: ViewOptions | None,
+    drawn: LoadedDraw | None = None,
 ) -> bool:
     """Fly a controller of lsy_drone_racing, told by its file; False if this is none."""
-    looks_like = submission is not None or (level or "").endswith(".toml")
+    looks_like = submission is not None or drawn is not None or (level or "").endswith(".toml")
     if not looks_like and not (level or "").startswith("lsy/"):
         return False
     from crazyarena.errors import InputError, StorageError
-    from crazyarena.levels.lsy import is_lsy_level
+    from crazyarena.levels.lsy import LsyLevel, is_lsy_level
 
     foreign = level is not None and is_lsy_level(level)
+    if drawn is not None:
+        foreign = isinstance(drawn.level, LsyLevel)
+        level = drawn.level.name
     if not foreign:
         from crazyarena.runner.contestant.contract_lsy.submission import find_controller
 
-        assert submission is not None
+        if submission is None:
+            return False
         file = find_controller(submission.expanduser())
         if file is None:
             return False
@@ -189,7 +230,7 @@ def _flew_lsy(
     console = Console()
     run = LsyRun(
         submission,
-        level or "lsy/level0",
+        drawn.level if drawn is not None else level or "lsy/level0",  # type: ignore[arg-type]
         overrides,
         episodes=episodes or 1,
         seed=seed,
@@ -200,6 +241,7 @@ def _flew_lsy(
         sandbox=bool(options.sandbox) or options.require_sandbox,
         require_sandbox=options.require_sandbox,
         console=console,
+        seeds=None if drawn is None else drawn.seeds,
     )
     result = run.run()
     tell(result, console)

@@ -13,7 +13,7 @@ from crazyarena.errors import CommandError, InputError
 from crazyarena.levels.schema import Level
 from crazyarena.runner.contestant.contract_2022.command_check import checked
 from crazyarena.runner.contestant.contract_2022.info import Canvas, initial_info
-from crazyarena.runner.contestant.dialogue import Answer, Question
+from crazyarena.runner.contestant.dialogue import Answer, Question, told_parameters
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.contestant.prints import PrintsShown
 from crazyarena.runner.contestant.submission import Submission, own_traceback
@@ -38,6 +38,8 @@ class Pilot:
 
     def make(self, obs: list[Any], level: Level, start: Array) -> None:
         info = initial_info(level, self._canvas, start)
+        if parameters := told_parameters():
+            info["parameters"] = parameters
         self._controller = self._submission.make(list(obs), info, level.use_firmware, level.verbose)
         self.learns = hasattr(self._controller, "interStepLearn")
 
