@@ -127,7 +127,7 @@ ROOMS = (
     ("campaign",),
     ("campaign.strikes", "viewer"),
     ("trial",),
-    ("rig.flight_process",),
+    ("rig.flight_process", "records.pages"),
     ("rig", "records"),
     ("contestant.sandbox",),
     ("contestant",),

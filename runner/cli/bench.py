@@ -148,7 +148,7 @@ def bench(
         result = run.run()
         if result.comparison is not None:
             console.print(comparing.table(result.comparison))
-            summary = {**result.comparison.summary(), "arenas": result.arenas}
+            summary = {**result.comparison.document(), "arenas": result.arenas}
             write_whole(folder / "compare.json", json.dumps(summary, indent=2) + "\n")
             if figure != "none":
                 from crazyarena.runner.records.compare_figure import save_figure

@@ -64,7 +64,7 @@ def compare(
         console.print(result.advice(), highlight=False, markup=False, soft_wrap=True)
         folder = out if out is not None else Path.cwd()
         folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / "compare.json", json.dumps(result.summary(), indent=2) + "\n")
+        write_whole(folder / "compare.json", json.dumps(result.document(), indent=2) + "\n")
         if figure:
             from crazyarena.runner.records.compare_figure import save_figure
 

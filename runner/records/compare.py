@@ -131,6 +131,11 @@ class Comparison:
             ],
         }
 
+    def document(self) -> dict[str, Any]:
+        """What ``compare.json`` says: the summary, and which recordings were compared."""
+        runs = [[str(flight.file.resolve()) for flight in group] for group in self.groups]
+        return {**self.summary(), "names": list(self.names), "runs": runs}
+
 
 def load(run: Path) -> list[Flight]:
     """Flights of a results folder, of a folder of such folders, or of one recording."""
