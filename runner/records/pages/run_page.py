@@ -80,7 +80,7 @@ def _overview(episodes: Sequence[dict[str, Any]]) -> str:
         (
             e.get("index", number),
             _why(e),
-            e.get("flight_time", e.get("time")),
+            _seconds(e.get("flight_time", e.get("time"))),
             f"{e.get('gates_passed', '?')}/{e.get('gates', '?')}",
             e.get("collisions"),
             e.get("violations"),
@@ -90,6 +90,10 @@ def _overview(episodes: Sequence[dict[str, Any]]) -> str:
     state = ["good" if _good(e) else "bad" for e in episodes]
     names = ("#", "outcome", "time s", "gates", "collisions", "violations")
     return table(names, rows, state)
+
+
+def _seconds(value: Any) -> str:
+    return f"{value:.3f}" if isinstance(value, int | float) else "–"
 
 
 def _flights(run: Path, episodes: Sequence[dict[str, Any]]) -> list[str]:
