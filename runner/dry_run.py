@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -20,6 +19,7 @@ from crazyarena.runner.contestant.in_process import InProcess
 from crazyarena.runner.contestant.shipped import example_racer
 from crazyarena.runner.judging.result import EpisodeResult, TrialResult
 from crazyarena.runner.records.outcome_table import table
+from crazyarena.runner.records.pictures import Figures, Pictures
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.records.report import NOT_ISOLATED, result_document
 from crazyarena.runner.records.run_folder import ResultFile, run_folder
@@ -87,7 +87,7 @@ class DryRun:
         seed: int | None = None,
         out: Path | None = None,
         record: bool = True,
-        figure: bool = True,
+        figure: Figures | bool | str = True,
         console: Console | None = None,
         options: FlightOptions | None = None,
         noise_seed: int | None = None,
@@ -124,9 +124,10 @@ class DryRun:
         self._episodes = self._level.num_episodes if episodes is None else episodes
         self._wanted_out = out
         self._record = record
-        self._figure = figure
+        self._pictures = Pictures(
+            Figures.of(figure), self._episodes, self._level, not self._controlled
+        )
         self._console = console if console is not None else Console()
-        self._drawings: list[tuple[Any, ...]] = []
         self._preflight: FlightChecklist | None = None
 
     @property
@@ -175,6 +176,7 @@ class DryRun:
         try:
             return self._run()
         except BaseException:
+            self._pictures.close()
             if self._view is not None and self._view is not self._wanted_view:
                 self._view.close()
             raise
@@ -196,6 +198,7 @@ class DryRun:
         try:
             with contextlib.ExitStack() as stack:
                 stack.callback(world.close)
+                self._pictures.begin()
                 self._open_show(world, stack)
                 contestant = self._contestant()
                 stack.callback(contestant.close)
@@ -346,7 +349,7 @@ class DryRun:
             "seed": self._seed,
             "seeds": self._seeds,
             "out": self.out if self._record else None,
-            "keep_states": self._figure or self._on_episode is not None,
+            "keep_states": self._pictures.wanted or self._on_episode is not None,
             "on_step": display,
             "on_episode": self._keep,
             "show": self._show,
@@ -470,29 +473,22 @@ class DryRun:
         """After every episode: whatever ends the run later, this one was flown."""
         if self._on_episode is not None:
             self._on_episode(result, recorder, track)
-        if self._figure and recorder is not None:
-            states = np.array(recorder.states)
+        if self._pictures.wanted and recorder is not None:
             gates = self.entry.drawn(track.gates)
-            self._drawings.append((result, states, gates, track.obstacles))
+            isolated = self._flown.isolated
+            self._pictures.add(self.out, result, recorder, gates, track.obstacles, isolated)
         self._flown.episodes.append(result)
         document = result_document(self._flown, self._origin, finished=False)
         self._results.add(result.as_dict(), document)
 
     def _draw_figures(self, result: TrialResult) -> bool:
-        """Matplotlib is slow to import, so it comes last; whether there is any figure."""
-        if not self._drawings:
-            return False
-        from crazyarena.runner.records.figure import save_figure
-
-        for episode, states, gates, obstacles in self._drawings:
-            file = self.out / f"episode_{episode.index:03d}.png"
-            try:
-                save_figure(
-                    file, self._level, episode, states, gates, obstacles, isolated=result.isolated
-                )
-            except StorageError as error:
-                result.cut_short = result.cut_short or str(error)
-                return False
-            episode.files["figure"] = file.name
+        """Wait for the pictures; whether there is any."""
+        drawn = self._pictures.finish(self.out, result.isolated)
+        for reason in self._pictures.refused[:1]:
+            result.cut_short = result.cut_short or reason
+        told = drawn if len(drawn) <= 3 else [drawn[0], drawn[-1]]
+        for file in told:
             self._print(f"Figure: {shown_line(str(file))}")
-        return True
+        if len(told) < len(drawn):
+            self._print(f"... and {len(drawn) - len(told)} more figures there")
+        return bool(drawn)

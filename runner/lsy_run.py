@@ -363,7 +363,7 @@ def lsy_table(result: LsyResult) -> Any:
     for e in result.episodes:
         style = "green" if e.success else "red"
         view.add_row(
-            str(e.index + 1),
+            str(e.index),
             f"[{style}]{escape(shown_line(e.termination))}[/{style}]",
             f"{e.time:.2f}",
             f"{e.gates_passed}/{e.gates}",
@@ -377,7 +377,7 @@ def tell(result: LsyResult, console: Console) -> None:
     console.print(lsy_table(result))
     for episode in result.episodes:
         for note in episode.notes:
-            text = shown(f"episode {episode.index + 1}: {note}")
+            text = shown(f"episode {episode.index}: {note}")
             console.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
     if result.error is not None:
         console.print(

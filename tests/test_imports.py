@@ -134,7 +134,7 @@ ROOMS = (
     ("campaign",),
     ("campaign.strikes", "viewer"),
     ("trial",),
-    ("rig.flight_process",),
+    ("rig.flight_process", "records.pages"),
     ("rig", "records"),
     ("contestant.sandbox",),
     ("contestant",),

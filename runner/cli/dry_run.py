@@ -15,6 +15,7 @@ from crazyarena.runner.cli.common import (
     Secret,
     bad_input_exits,
 )
+from crazyarena.runner.cli.options.figure import figure_choice
 from crazyarena.runner.cli.options.flight import Sandbox, flight_options
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
@@ -32,7 +33,7 @@ def register(app: typer.Typer) -> None:
     app.command("dry-run")(dry_run)
 
 
-@takes(vehicle=vehicle_choice, options=flight_options, view=view_options)
+@takes(figure=figure_choice, vehicle=vehicle_choice, options=flight_options, view=view_options)
 def dry_run(
     submission: Annotated[
         Path | None,
@@ -68,8 +69,8 @@ def dry_run(
         typer.Option("--set", metavar="FIELD=VALUE", help="Override a field of the level."),
     ] = None,
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode.")] = True,
-    figure: Annotated[bool, typer.Option(help="Write a PNG an episode.")] = True,
     *,
+    figure: str,
     vehicle: VehicleChoice,
     vehicle_spread: VehicleSpread = None,
     options: FlightOptions,

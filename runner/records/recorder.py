@@ -385,3 +385,10 @@ class Recorder:
     def states(self) -> NDArray[np.float64]:
         """(n, TRACE_SIZE) ticks recorded so far."""
         return self._states.rows
+
+    @property
+    def commanded_from(self) -> float:
+        """When the first command went to the vehicle, s; inf if none did."""
+        commands = self._commands.rows
+        sent = np.flatnonzero(commands[:, _CM_SENT])
+        return float(commands[sent[0], 0]) if len(sent) else float("inf")
