@@ -48,6 +48,7 @@ FASTEST = 100
 """Hz, up to which commands go to a vehicle in an arena."""
 _BELOW = -0.1  # m, under which the fence begins: vehicles stand on the floor
 _POLE = 0.95  # m, that an obstacle of ours is high
+_ANYWHERE = 5.0  # m, the largest tolerance of a start
 _MIDDLE = 1.0  # m, from which on a gate is a tall one
 
 
@@ -112,6 +113,8 @@ def start_offsets(level: LsyLevel) -> tuple[Array, Array] | None:
 
 
 def _start_reach(level: LsyLevel) -> float:
+    if not level.deploy.check_drone_start_pos:
+        return _ANYWHERE
     offsets = start_offsets(level)
     if offsets is None:
         return 0.15
