@@ -12,7 +12,8 @@ from typing import Any
 
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import BackendError, CommandError, InputError
-from crazyarena.levels import Level, load_level
+from crazyarena.levels import Level
+from crazyarena.levels.lsy.arena import bare_arena
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
 from crazyarena.runner.rig.cameras import open_named_source
 from crazyarena.runner.rig.stops import StopOptions, open_stops
@@ -117,7 +118,7 @@ def gather(wanted: Wanted, say: Callable[[str], None]) -> Preflight:
     """
     clock = WallClock()
     vehicles = wanted.vehicles()
-    flown = load_level(wanted.level, wanted.overrides)
+    flown = bare_arena(wanted.level, wanted.overrides)
     wanted.stops.check()
     with contextlib.ExitStack() as stack:
         return _Gathering(wanted, flown, vehicles, clock, say, stack).run()
