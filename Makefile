@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 # Versions that were tried together; what is not in the list is free.
 PIP    := $(BIN)/python -m pip install --disable-pip-version-check -c requirements.lock
 
-.PHONY: dry-run test slow lint types bench lock clean
+.PHONY: dry-run test slow lint types bench docs lock clean
 
 # Set up and fly the example controller through level 0. More: make dry-run ARGS="--level level3"
 dry-run: $(VENV)/run.stamp
@@ -29,6 +29,10 @@ types: $(VENV)/dev.stamp
 bench: $(VENV)/dev.stamp
 	for b in benchmarks/[a-z]*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done
 
+# The documentation as a site, in site/; broken links fail. Read it: make docs && open site/index.html
+docs: $(VENV)/docs.stamp
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
 # Debian splits venv from python3: where it is missing and we may, install it; else say how.
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -46,9 +50,13 @@ $(VENV)/dev.stamp: pyproject.toml | $(BIN)/python
 	$(PIP) -e '.[dev]'
 	@touch $@ $(VENV)/run.stamp
 
+$(VENV)/docs.stamp: pyproject.toml | $(BIN)/python
+	$(PIP) -e '.[docs]'
+	@touch $@ $(VENV)/run.stamp
+
 # Pin the versions again; needs uv.
 lock:
-	uv pip compile --universal --quiet --no-header pyproject.toml --extra dev --extra all -o requirements.lock
+	uv pip compile --universal --quiet --no-header pyproject.toml --extra dev --extra all --extra docs -o requirements.lock
 
 clean:
-	rm -rf $(VENV) build .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) build site .pytest_cache .mypy_cache .ruff_cache

@@ -37,6 +37,7 @@ from crazyarena.runner.rig.flight_process.client import connected
 from crazyarena.runner.rig.rig import Rig
 from crazyarena.runner.rig.virtual_arena import VirtualArena
 from crazyarena.safety.limits import Limits
+from crazyarena.viewer_process import View
 
 RATE = 30.0
 WORK = 0.002  # s that the plain loops compute in every period
@@ -109,8 +110,8 @@ def shown(percentiles: dict[str, float]) -> dict[str, float]:
     return {k: round(v, 3) for k, v in percentiles.items() if k not in ("p90", "mean")}
 
 
-def fly(seconds: float, folder: Path) -> dict[str, Any]:
-    """Hover through the bench pipeline; the result of the episode."""
+def fly(seconds: float, folder: Path, view: View | None = None) -> dict[str, Any]:
+    """Hover through the bench pipeline, shown in ``view``; the result of the episode."""
     submission = folder / "hover.py"
     submission.write_text(HOVER)
     arenas: list[VirtualArena] = []
@@ -144,6 +145,7 @@ def fly(seconds: float, folder: Path) -> dict[str, Any]:
         yes=True,
         figure=False,
         console=Console(quiet=True),
+        view=view,
     ).run()
     document = json.loads((folder / "out" / "result.json").read_text())
     episode: dict[str, Any] = document["episodes"][0]

@@ -78,7 +78,7 @@ class VirtualClock:
     def sleep_until(self, deadline: float) -> float:
         with self._lock:
             while self._now < deadline:
-                coming = min((event() for event in self._next), default=deadline)
+                coming = min(event() for event in self._next) if self._next else deadline
                 self._now = coming if self._now < coming < deadline else deadline
                 for advance in self._advance:
                     advance(self._now)

@@ -6,6 +6,8 @@ The command line turns any :class:`CrazyarenaError` into one line and exit code 
 
 from __future__ import annotations
 
+from pathlib import Path
+
 
 class CrazyarenaError(Exception):
     """Base of all errors that describe wrong input or a refused action."""
@@ -21,6 +23,15 @@ class CommandError(CrazyarenaError, ValueError):
 
 class BackendError(CrazyarenaError):
     """A vehicle link cannot be opened, was lost, or refused an action."""
+
+
+class StorageError(CrazyarenaError):
+    """A file cannot be written, most often because the disk is full; what was there is there."""
+
+    @classmethod
+    def of(cls, path: Path, error: OSError) -> StorageError:
+        """From what the system said about a file."""
+        return cls(f"{path}: cannot write it: {error.strerror or error}")
 
 
 class DependencyMissing(CrazyarenaError):

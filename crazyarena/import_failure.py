@@ -42,7 +42,7 @@ def missing(error: BaseException, own: Collection[str] = ()) -> str:
             if name and name not in own and not _is_there(name):
                 names[shown_line(name)] = None
     if not names:
-        return ""
+        return _own_module(error, own)
     listed = ", ".join(f"'{name}'" for name in reversed(names))
     many = len(names) > 1
     return (
@@ -50,6 +50,27 @@ def missing(error: BaseException, own: Collection[str] = ()) -> str:
         f"{'what is needed of them' if many else 'it'} where crazyarena is installed (python -m "
         f"pip install ...), or pass a folder that holds {'them' if many else 'it'}"
     )
+
+
+def _own_module(error: BaseException, own: Collection[str]) -> str:
+    """What it means if a name is missing in a module that came along."""
+    if type(error) is not ImportError or not isinstance(error.name, str):
+        return ""
+    name = error.name.partition(".")[0]
+    if name not in own:
+        return ""
+    if "partially initialized" in str(error) or _names_its_importer(error):
+        return (
+            f"; '{shown_line(name)}' is a module of the submission, and was still being imported "
+            "itself: it and another one import each other. Move what both need into a third"
+        )
+    return f"; '{shown_line(name)}' is a module of the submission, which has no such name"
+
+
+def _names_its_importer(error: ImportError) -> bool:
+    """Whether the module that lacks a name is one of those whose import has led there."""
+    files = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
+    return error.path is not None and error.path in files[:-1]
 
 
 def told(error: BaseException, ours: str, but: str, limit: int) -> str:

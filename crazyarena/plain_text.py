@@ -12,6 +12,7 @@ import unicodedata
 from typing import Any
 
 _KEPT = "\n\t"
+_UNNAMED = re.compile(r"[^\w.+-]+")
 # What may have to be escaped at all; almost all text holds nothing of it.
 _ODD = re.compile(r"[^\x20-\x7e\n\t]")
 # Control, format (directions of writing, zero width), surrogates, private use, unassigned, and
@@ -34,6 +35,12 @@ def shown_line(text: str, limit: int = 200) -> str:
     if len(text) > limit:
         text = text[:limit] + " [...]"
     return _ODD.sub(_escaped, text).replace("\n", "\\n").replace("\t", "\\t")
+
+
+def file_name(text: str, limit: int = 64) -> str:
+    """As a part of a file's name that no shell, terminal or file system reads as anything else."""
+    name = _UNNAMED.sub("_", text)[:limit].lstrip("_.-")
+    return name or "unnamed"
 
 
 def shown_in(value: Any) -> Any:

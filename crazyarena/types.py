@@ -70,7 +70,9 @@ class Telemetry:
     firmware's ``supervisor.info``; state is the on-board estimate; power_state is ``pm.state``:
     0 on battery, 1 charging, 2 charged, 3 low, 4 empty; motors (4,) are the commands of M1..M4 as
     shares of full scale; acceleration (3,) g is the specific force in body axes; rates_at s is when
-    the angular velocity of ``state`` was told, if that is not the time of the state.
+    the angular velocity of ``state`` was told, if that is not the time of the state; position_std m
+    and velocity_std m/s are the largest standard deviations, over the axes, that the on-board
+    filter gives its estimate.
     """
 
     timestamp: float
@@ -83,6 +85,8 @@ class Telemetry:
     motors: Vector | None = None
     acceleration: Vector | None = None
     rates_at: float | None = None
+    position_std: float | None = None
+    velocity_std: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

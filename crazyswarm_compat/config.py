@@ -62,14 +62,16 @@ class VehicleConfig:
 
 @dataclass(frozen=True, slots=True)
 class FleetConfig:
-    """The vehicles in file order, how broadcasts are repeated on a radio, and what the file says
-    about ``guard`` (see :mod:`.options`)."""
+    """The vehicles in file order, how broadcasts are repeated on a radio, what the file says
+    about ``guard`` (see :mod:`.options`), and ``read_all``: fetch all parameters when connecting.
+    """
 
     vehicles: tuple[VehicleConfig, ...]
     source: str
     broadcast_repeats: int = 15
     broadcast_delay: float = 0.001
     guard: str | None = None
+    read_all: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,8 +22,10 @@ from crazyarena.crazyswarm_compat.checks import check
 from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
 from crazyarena.crazyswarm_compat.guard import FleetGuard, FlightEnded
 from crazyarena.crazyswarm_compat.hardware import PoseFeed, land_flying, start_hardware
+from crazyarena.crazyswarm_compat.link_watch import LinkWatch
 from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.registry import open_backend, open_guard, open_lookout
+from crazyarena.crazyswarm_compat.server_files import LinkLimits
 from crazyarena.errors import BackendError, CommandError
 from crazyarena.types import VehicleContact, VehicleState
 
@@ -195,6 +197,12 @@ class FleetCore:
         self._time_helper = timeHelper
         self.crazyflies = list(vehicles)
         self.crazyfliesById = VehiclesById((cf.id, cf) for cf in self.crazyflies)
+        timeHelper.visualizer.follow(link, guard)
+        if timeHelper.visualizer.in_wall_time:
+            # Where time passes by itself, nobody else tells it to draw.
+            timeHelper.while_sleeping(
+                lambda: timeHelper.visualizer.update(timeHelper.time(), self.crazyflies)
+            )
         # A script has no call that ends a fleet, and may keep only one of its vehicles: the
         # link is released at exit, unless it has gone before. A guard stays to the end.
         report = getattr(link, "script_report", None)
@@ -225,12 +233,17 @@ class FleetCore:
                 warn(f"setParam: ignored; {error}")
 
     def _start_hardware(
-        self, fleet: FleetConfig, clock: Clock, mocap: str | None, watchdog: bool
+        self,
+        fleet: FleetConfig,
+        clock: Clock,
+        mocap: str | None,
+        watchdog: bool,
+        limits: LinkLimits | None = None,
     ) -> None:
         lookout = None
         if self.guard is None and mocap is not None:
             bodies = {vehicle.name: vehicle.id for vehicle in fleet.vehicles}
-            lookout = open_lookout(self._link, bodies)
+            lookout = open_lookout(self._link, bodies, clock)
             self._time_helper.while_sleeping(lookout.check)
         try:
             self._feed = start_hardware(
@@ -239,8 +252,18 @@ class FleetCore:
         except BaseException:
             self.close()
             raise
-        if self.guard is None:
-            # Called before the link is released, as the latest registered.
+        if limits is not None:
+            names = {vehicle.id: vehicle.name for vehicle in fleet.vehicles}
+            poses = None if self._feed is None else self._feed.statistics
+            watch = LinkWatch(limits, self._link, names, clock, poses)
+            self._time_helper.while_sleeping(watch.check)
+        # Threads that are inside C++ when the interpreter ends abort it. The latest registered is
+        # called first: what flies is landed, with poses, then they end, then the link goes.
+        if self._feed is not None:
+            atexit.register(self._feed.close)
+        if self.guard is not None:
+            atexit.register(self.guard.finish)
+        else:
             atexit.register(_land, weakref.ref(self._link), clock)
 
     @property
@@ -254,9 +277,11 @@ class FleetCore:
     def close(self) -> None:
         """Release the link; a guarded fleet is landed first. Idempotent."""
         if self.guard is not None:
+            atexit.unregister(self.guard.finish)
             atexit.unregister(self.guard.close)
             self.guard.finish()
         if self._feed is not None:
+            atexit.unregister(self._feed.close)
             self._feed.close()
         if self._report is not None:
             atexit.unregister(self._report.exit)
@@ -298,11 +323,12 @@ def open_fleet(
 ) -> tuple[Backend, FleetGuard | None]:
     """Open the link, and with ``guard`` (an arena) the safety around it."""
     clock = timeHelper.clock
-    link = open_backend(backend, fleet, clock, getattr(timeHelper, "options", None))
+    options = getattr(timeHelper, "options", None)
+    link = open_backend(backend, fleet, clock, options)
     if guard is None:
         return link, None
     try:
-        return link, open_guard(guard, fleet, link, clock)
+        return link, open_guard(guard, fleet, link, clock, options)
     except BaseException:
         link.close()
         raise

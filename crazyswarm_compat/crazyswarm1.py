@@ -37,7 +37,7 @@ from crazyarena.crazyswarm_compat.joystick import Joystick
 from crazyarena.crazyswarm_compat.options import parse, warn, with_guard_of
 from crazyarena.crazyswarm_compat.registry import IdealState, InspectableBackend
 from crazyarena.crazyswarm_compat.timehelper import TimeHelper, WallTimeHelper, make_time_helper
-from crazyarena.crazyswarm_compat.visualizers import open_visualizer
+from crazyarena.crazyswarm_compat.visualizers import VisViser, open_visualizer
 from crazyarena.errors import BackendError
 from crazyarena.types import VehicleState
 
@@ -307,7 +307,9 @@ class Crazyswarm:
             if parsed.writecsv or parsed.video:
                 atexit.register(self.timeHelper._atexit)
         else:
-            self.timeHelper = WallTimeHelper(WallClock())
+            # Of viewers, only this one draws elsewhere than where the script flies.
+            vis = VisViser(pace=0.0) if parsed.vis == "viser" else None
+            self.timeHelper = WallTimeHelper(WallClock(), vis)
         self.allcfs = CrazyflieServer(
             self.timeHelper,
             fleet,

@@ -10,6 +10,7 @@ import math
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ from crazyarena.crazyswarm_compat.core import (
 from crazyarena.crazyswarm_compat.crazyswarm1 import Crazyflie as Viewed
 from crazyarena.crazyswarm_compat.hardware import with_uris
 from crazyarena.crazyswarm_compat.joystick import Joystick
-from crazyarena.crazyswarm_compat.options import parse, warn, with_guard_of
+from crazyarena.crazyswarm_compat.options import NO_MOCAP, parse, warn, with_guard_of
 from crazyarena.crazyswarm_compat.ros_like import (
     NodeLike,
     Point,
@@ -45,14 +46,20 @@ from crazyarena.crazyswarm_compat.ros_like import (
     Record,
     split_seconds,
 )
+from crazyarena.crazyswarm_compat.server_files import (
+    MOTION_CAPTURE,
+    LinkLimits,
+    ServerFile,
+    read_motion_capture,
+    read_server,
+)
 from crazyarena.crazyswarm_compat.timehelper import (
     ExactTimeHelper,
     TimeHelper,
     WallTimeHelper,
     make_time_helper,
 )
-from crazyarena.crazyswarm_compat.visualizers import open_visualizer
-from crazyarena.crazyswarm_compat.yaml_node import load_yaml
+from crazyarena.crazyswarm_compat.visualizers import VisViser, open_visualizer
 from crazyarena.errors import BackendError, InputError
 
 # Where a checkout of Crazyswarm2 keeps the vehicle list, seen from a script or its folder.
@@ -209,6 +216,7 @@ class CrazyflieServer(FleetCore, NodeLike):
         mocap: str | None = None,
         watchdog: bool = False,
         guard: str | None = None,
+        limits: LinkLimits | None = None,
     ) -> None:
         link, guarded = open_fleet(backend, fleet, timeHelper, guard)
         configs = by_config(fleet, link)
@@ -226,7 +234,7 @@ class CrazyflieServer(FleetCore, NodeLike):
             timeHelper.crazyflies = [Viewed(link, config, timeHelper) for config in configs]
         timeHelper.after_sleep(self._spin)
         if backend == "radio":
-            self._start_hardware(fleet, timeHelper.clock, mocap, watchdog)
+            self._start_hardware(fleet, timeHelper.clock, mocap, watchdog, limits)
 
     @property
     def paramTypeDict(self) -> dict[str, int]:
@@ -280,14 +288,19 @@ class Crazyswarm:
         parsed = parse(args, None)
         fleet = load_crazyflies_2(crazyflies_yaml or parsed.crazyflies_yaml or _find(parsed.sim))
         parsed = with_guard_of(parsed, fleet)
-        _name_what_is_not_read(fleet, parsed.sim)
+        server = _server_of(fleet, parsed.sim)
+        if not parsed.sim:
+            parsed.mocap = _cameras_of(fleet, parsed.given.mocap)
+            fleet = replace(fleet, read_all=server.read_all)
         self.timeHelper: TimeHelper | WallTimeHelper
         if parsed.sim:
             self.timeHelper = make_time_helper(parsed, open_visualizer(parsed.vis), ExactTimeHelper)
             if parsed.writecsv or parsed.video:
                 atexit.register(self.timeHelper.close)
         else:
-            self.timeHelper = WallTimeHelper(WallClock())
+            # Of viewers, only this one draws elsewhere than where the script flies.
+            vis = VisViser(pace=0.0) if parsed.vis == "viser" else None
+            self.timeHelper = WallTimeHelper(WallClock(), vis)
         self.allcfs = CrazyflieServer(
             self.timeHelper,
             with_uris(fleet, parsed.uri),
@@ -295,32 +308,40 @@ class Crazyswarm:
             parsed.mocap,
             parsed.watchdog,
             parsed.guard,
+            server.limits,
         )
         self.input = Joystick(self.timeHelper)
 
 
-def _name_what_is_not_read(fleet: FleetConfig, sim: bool) -> None:
-    """Say what Crazyswarm2's other files, beside the vehicle list, would have set."""
-    if not fleet.source.endswith((".yaml", ".yml")):
-        return
-    folder = Path(fleet.source).parent
-    if (folder / "server.yaml").is_file():
-        warn(
-            f"{folder / 'server.yaml'} is not read: --backend and --dt say how to simulate, and "
-            "warnings of the link come by themselves",
-            stacklevel=4,
-        )
-    capture = folder / "motion_capture.yaml"
-    if sim or not capture.is_file():
-        return
-    node = load_yaml(capture, "motion_capture.yaml")
-    for key in ("/motion_capture_tracking", "ros__parameters"):
-        node = node.get(key)
-        if node.absent:
-            return
-    kind, host = node.get("type").value, node.get("hostname").value
-    flag = f"--mocap {kind}:{host}" if kind and host else "--mocap SOURCE:HOST"
-    warn(f"{capture} is not read: {flag} names the motion-capture system", stacklevel=4)
+def _folder(fleet: FleetConfig) -> Path | None:
+    """Where Crazyswarm2's other files would be."""
+    named = fleet.source.endswith((".yaml", ".yml"))
+    return Path(fleet.source).parent if named else None
+
+
+def _server_of(fleet: FleetConfig, sim: bool) -> ServerFile:
+    folder = _folder(fleet)
+    found = None if folder is None else read_server(folder, sim)
+    if found is None:
+        return ServerFile(LinkLimits(), False, ())
+    for remark in found.unread:
+        warn(remark, stacklevel=4)
+    return found
+
+
+def _cameras_of(fleet: FleetConfig, given: str | None) -> str | None:
+    """Where poses come from: the flag, or else what ``motion_capture.yaml`` says."""
+    folder = _folder(fleet)
+    if given == NO_MOCAP:
+        return None
+    if folder is None or given is not None:
+        return given
+    spec, remark = read_motion_capture(folder)
+    if remark is not None:
+        warn(remark, stacklevel=4)
+    if spec is not None:
+        print(f"{folder / MOTION_CAPTURE}: poses from --mocap {spec}", file=sys.stderr)
+    return spec
 
 
 def _find(sim: bool) -> str | Path:

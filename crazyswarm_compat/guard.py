@@ -24,6 +24,9 @@ class FleetGuard(Backend, Protocol):
     :class:`FlightEnded` for vehicles that are no longer the script's.
     """
 
+    scene: dict[str, Any]
+    """What of it a viewer can show, as plain data."""
+
     @property
     def events(self) -> Sequence[Any]:
         """What the safety has noticed and done so far, oldest first."""

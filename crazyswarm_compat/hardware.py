@@ -16,6 +16,7 @@ from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.registry import pose_parts
 from crazyarena.errors import InputError
 
+ONBOARD = "onboard"
 _START_TOLERANCE = 0.3  # m
 _FLYING, _HIGH_LEVEL_ACTIVE = 1 << 4, 1 << 8  # of supervisor.info
 _LANDING_SPEED = 0.5  # m/s
@@ -58,7 +59,8 @@ class PoseFeed:
 
     Attributes
     ----------
-    estimate: ``estimate(name)`` is a body's estimate now.
+    estimate: ``estimate(name)`` is a body's estimate now. statistics: of what each vehicle was
+        sent, by id.
 
     Raises
     ------
@@ -89,6 +91,7 @@ class PoseFeed:
         forwarder = parts["PoseForwarder"](
             names, backend.send_external_poses, clock, rate=rate, threaded=True
         )
+        self.statistics: Callable[[], dict[int, Any]] = forwarder.statistics
         self._pipeline = parts["PosePipeline"](
             source, estimator, clock, forwarder=forwarder, on_frame=on_frame
         )
@@ -144,6 +147,17 @@ def _compare_starts(fleet: FleetConfig, backend: Backend) -> None:
             )
 
 
+def _prepare(
+    fleet: FleetConfig, backend: Backend, prepare: Callable[[], None] | None, watchdog: bool
+) -> None:
+    if prepare is not None:
+        prepare()
+        _compare_starts(fleet, backend)
+    arm_watchdog = getattr(backend, "arm_watchdog", None)
+    if watchdog and arm_watchdog is not None:
+        arm_watchdog(feed_period=0.2)
+
+
 def start_hardware(
     fleet: FleetConfig,
     backend: Backend,
@@ -155,8 +169,10 @@ def start_hardware(
 ) -> PoseFeed | None:
     """Feed poses from ``mocap`` and prepare the vehicles; None leaves both to somebody else.
 
+    ``onboard`` instead of a source: they have decks that tell them where they are; nobody watches.
     ``watchdog`` arms the onboard emergency-stop watchdog, fed until the link is closed; a
-    ``guard`` arms and feeds it by itself, and gets all poses first. A ``lookout`` sees every frame.
+    ``guard`` arms and feeds it by itself, and gets all poses first. A ``lookout`` sees every frame
+    and passes on the poses.
 
     Raises
     ------
@@ -173,18 +189,21 @@ def start_hardware(
             "prepared for flight"
         )
         return None
+    if mocap == ONBOARD:
+        if guard is not None:
+            raise InputError(
+                "--guard: watches vehicles from outside; with --mocap onboard nothing sees them. "
+                "Fly without it, or a trial: crazyarena fly --mocap onboard"
+            )
+        _prepare(fleet, backend, getattr(backend, "prepare_onboard", None), watchdog)
+        return None
     listeners = tuple(who.on_frame for who in (guard, lookout) if who is not None)
-    feed = PoseFeed(mocap, fleet, guard or backend, clock, on_frame=listeners)
-    prepare = getattr(backend, "prepare", None)
+    feed = PoseFeed(mocap, fleet, guard or lookout or backend, clock, on_frame=listeners)
     try:
         if guard is not None:
             guard.watch(feed.estimate)
-        if prepare is not None:
-            prepare()
-            _compare_starts(fleet, backend)
-        arm_watchdog = getattr(backend, "arm_watchdog", None)
-        if watchdog and guard is None and arm_watchdog is not None:
-            arm_watchdog(feed_period=0.2)
+        prepare = getattr(backend, "prepare", None)
+        _prepare(fleet, backend, prepare, watchdog and guard is None)
     except BaseException:
         feed.close()
         raise

@@ -20,6 +20,7 @@ DEFAULT_DT_DYNAMICS = 0.01
 # What --guard says for scripts that are started by something else.
 GUARD_VARIABLE = "CRAZYARENA_GUARD"
 NO_GUARD = "none"
+NO_MOCAP = "none"
 
 
 class CrazyswarmWarning(UserWarning):
@@ -94,7 +95,8 @@ def build_argparser(
         "--mocap",
         metavar="SOURCE[:HOST]",
         help="[radio] forward poses from here and prepare the vehicles before the script starts, "
-        "e.g. vicon:192.168.1.2 or zenoh:tcp/127.0.0.1:7447",
+        "e.g. vicon:192.168.1.2 or zenoh:tcp/127.0.0.1:7447; onboard: they have positioning decks; "
+        "none: as without it, whatever motion_capture.yaml of Crazyswarm2 says",
     )
     parser.add_argument(
         "--watchdog",
@@ -151,6 +153,8 @@ def _completed(given: argparse.Namespace) -> argparse.Namespace:
     parsed.given = given
     if parsed.guard == NO_GUARD:
         parsed.guard = None
+    if parsed.mocap == NO_MOCAP:
+        parsed.mocap = None
     if parsed.backend is None:
         # Perfect tracking has no dynamics: nothing could be guarded there.
         simulated = "ideal" if parsed.guard is None else "sim"

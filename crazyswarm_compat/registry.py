@@ -81,7 +81,12 @@ class GuardFactory(Protocol):
     """Signature of the function named in :data:`GUARD`; ``arena`` is what ``--guard`` says."""
 
     def __call__(
-        self, arena: str, fleet: FleetConfig, link: Backend, clock: Clock
+        self,
+        arena: str,
+        fleet: FleetConfig,
+        link: Backend,
+        clock: Clock,
+        options: SimOptions | None = None,
     ) -> FleetGuard: ...
 
 
@@ -137,17 +142,23 @@ def open_backend(
     return factory(fleet, clock, options or SimOptions())
 
 
-def open_guard(arena: str, fleet: FleetConfig, link: Backend, clock: Clock) -> FleetGuard:
+def open_guard(
+    arena: str,
+    fleet: FleetConfig,
+    link: Backend,
+    clock: Clock,
+    options: SimOptions | None = None,
+) -> FleetGuard:
     """Put the safety around an open ``link``; raises InputError for a wrong ``arena``."""
     module, function = GUARD.split(":")
     factory: GuardFactory = getattr(importlib.import_module(module), function)
-    return factory(arena, fleet, link, clock)
+    return factory(arena, fleet, link, clock, options)
 
 
-def open_lookout(link: Backend, bodies: Mapping[str, int]) -> Any:
+def open_lookout(link: Backend, bodies: Mapping[str, int], clock: Clock) -> Any:
     """Watch whether the cameras' headings are the vehicles' (``bodies``: vehicle id by name)."""
     module, function = LOOKOUT.split(":")
-    return getattr(importlib.import_module(module), function)(link, bodies)
+    return getattr(importlib.import_module(module), function)(link, bodies, clock)
 
 
 def pose_parts() -> dict[str, Any]:

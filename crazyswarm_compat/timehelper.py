@@ -32,9 +32,9 @@ def _check_rate(rate: float) -> None:
 class WallTimeHelper:
     """Sleeps on a real clock; ``sleepForRate`` keeps absolute deadlines."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, vis: VisNull | None = None) -> None:
         self.clock = clock
-        self.visualizer = VisNull()
+        self.visualizer = vis if vis is not None else VisNull()
         self._rate = 0.0
         self._next = 0.0
         self._after_sleep: list[Callable[[], None]] = []

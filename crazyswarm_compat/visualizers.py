@@ -1,20 +1,28 @@
-"""Viewers of a simulated fleet: none, matplotlib (also headless), viser in the browser."""
+"""Viewers of a simulated fleet: none, matplotlib (also headless), the viewer in the browser."""
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from crazyarena.crazyswarm_compat.live_visualizer import LiveVisualizer
 from crazyarena.errors import DependencyMissing, InputError
+from crazyarena.viewer_process import ViewOptions
 
 Edges = Sequence[tuple[int, int]]
 
 
 class VisNull:
-    """Shows nothing."""
+    """Shows nothing.
+
+    ``in_wall_time``: draws a fleet that is not simulated, too.
+    """
+
+    in_wall_time = False
 
     def setGraph(self, edges: Edges) -> None:
         """Draw lines between the vehicles ``(i, j)``, by index."""
@@ -22,12 +30,18 @@ class VisNull:
     def showEllipsoids(self, radii: ArrayLike) -> None:
         """Draw an ellipsoid of ``radii`` (3,) m around every vehicle."""
 
+    def follow(self, link: Any, guard: Any) -> None:
+        """What the fleet flies on, and what guards it, if anything."""
+
     def update(self, t: float, crazyflies: Sequence[Any]) -> None:
         """Show the present positions, at time ``t`` s."""
 
     def render(self) -> NDArray[np.uint8] | None:
         """Picture of the last update, RGB (height, width, 3); None without one."""
         return None
+
+    def close(self) -> None:
+        """Idempotent."""
 
 
 class VisMatplotlib(VisNull):
@@ -115,49 +129,14 @@ class VisMatplotlib(VisNull):
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-class VisViser(VisNull):
-    """Scene in the browser; the address is printed when the viewer starts."""
+class VisViser(LiveVisualizer, VisNull):
+    """Scene in the browser; the address is printed when something first flies."""
 
-    def __init__(self, port: int = 8080) -> None:
-        try:
-            import viser
-        except ImportError:
-            raise DependencyMissing("viser", "viewer", "--vis viser") from None
-        self._server = viser.ViserServer(host="127.0.0.1", port=port)
-        self._server.scene.add_grid("/floor")
-        self._handles: dict[str, Any] = {}
-        self._edges: Edges = ()
-        self._radii: NDArray[np.float64] | None = None
-
-    def setGraph(self, edges: Edges) -> None:
-        self._edges = list(edges)
-        self._server.scene.remove_by_name("/edges")
-
-    def showEllipsoids(self, radii: ArrayLike) -> None:
-        self._radii = np.asarray(radii, dtype=np.float64)
-
-    def update(self, t: float, crazyflies: Sequence[Any]) -> None:
-        scene = self._server.scene
-        for cf in crazyflies:
-            name = f"/cf{cf.id}"
-            if name not in self._handles:
-                color = np.array([int(255 * part) for part in cf.ledRGB])
-                self._handles[name] = scene.add_icosphere(name, radius=0.05, color=color)
-            self._handles[name].position = tuple(cf.position())
-            if self._radii is not None:
-                shell = f"{name}/ellipsoid"
-                if shell not in self._handles:
-                    self._handles[shell] = scene.add_icosphere(
-                        shell, radius=1.0, scale=tuple(self._radii), opacity=0.3
-                    )
-        if self._edges:
-            positions = np.array([cf.position() for cf in crazyflies])
-            segments = np.array([positions[[a, b]] for a, b in self._edges])
-            scene.add_line_segments("/edges", segments, colors=(0, 0, 0))
-
-    def close(self) -> None:
-        """Stop the server."""
-        self._server.stop()
+    def __init__(self, port: int = 8080, pace: float = 1.0) -> None:
+        if importlib.util.find_spec("viser") is None:
+            raise DependencyMissing("viser", "viewer", "--vis viser")
+        super().__init__(ViewOptions(port=port), pace)
+        self.in_wall_time = pace == 0.0
 
 
 def open_visualizer(name: str) -> VisNull:

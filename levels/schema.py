@@ -177,9 +177,9 @@ class Level(Model):
     control_frequency: Annotated[Whole, Field(ge=1, le=FIRMWARE_FREQUENCY)] = 30
     """How often the contestant is asked, Hz."""
     physics_frequency: Annotated[Whole, Field(ge=1, le=10_000)] = FIRMWARE_FREQUENCY
-    """Hz"""
+    """Hz; no other one. Files of the competition state it."""
     use_firmware: Flag = True
-    """False: the contestant's ``cmdSimOnly`` flies without firmware; for debugging only."""
+    """Nothing else: files of the competition state it, and the contestant's constructor is told."""
     verbose: Flag = False
     """Handed to the contestant's constructor."""
     done_on_collision: Flag = True
@@ -195,17 +195,17 @@ class Level(Model):
     disturbances: Disturbances = Field(default_factory=Disturbances)
 
     @model_validator(mode="after")
-    def _frequencies_fit(self) -> Self:
-        if self.use_firmware and self.physics_frequency != FIRMWARE_FREQUENCY:
+    def _is_flown_by_the_firmware(self) -> Self:
+        if not self.use_firmware:
             raise invalid(
-                f"expected {FIRMWARE_FREQUENCY} (the firmware's rate; other rates need "
-                f"use_firmware: false), found {self.physics_frequency}",
-                "physics_frequency",
+                "expected true: everything is flown through the firmware, by cmdFirmware, as it "
+                "was scored; found false",
+                "use_firmware",
             )
-        if not self.use_firmware and self.physics_frequency % self.control_frequency:
+        if self.physics_frequency != FIRMWARE_FREQUENCY:
             raise invalid(
-                f"expected a multiple of control_frequency ({self.control_frequency}), "
-                f"found {self.physics_frequency}",
+                f"expected {FIRMWARE_FREQUENCY}, the rate of the firmware, found "
+                f"{self.physics_frequency}",
                 "physics_frequency",
             )
         return self

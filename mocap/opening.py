@@ -9,6 +9,7 @@ from typing import Any
 from crazyarena.clock import Clock
 from crazyarena.errors import InputError
 from crazyarena.mocap.motioncapture_source import VENDOR_TYPES, MotionCaptureSource
+from crazyarena.mocap.onboard import KIND as ONBOARD
 from crazyarena.mocap.replay import ReplaySource
 from crazyarena.mocap.ros2_source import Ros2Source
 from crazyarena.mocap.source import PoseSource
@@ -33,6 +34,11 @@ def open_source(kind: str, *, clock: Clock, **options: Any) -> PoseSource:
     InputError: unknown kind or option.
     DependencyMissing: the package behind the kind is not installed.
     """
+    if kind == ONBOARD:
+        raise InputError(
+            "mocap source onboard: the vehicle's own estimate comes over its link, and nothing "
+            "else is seen; here cameras are needed"
+        )
     opener: Callable[..., PoseSource]
     client = options.pop("client", "own") if kind == "vrpn" else ""
     if client not in ("", "own", "motioncapture"):
@@ -49,7 +55,7 @@ def open_source(kind: str, *, clock: Clock, **options: Any) -> PoseSource:
     elif kind == "replay":
         opener = ReplaySource
     else:
-        known = ", ".join(["zenoh", "ros2", "replay", *VENDOR_TYPES])
+        known = ", ".join(["zenoh", "ros2", "replay", ONBOARD, *VENDOR_TYPES])
         raise InputError(f"mocap source: found {kind!r}; choose one of {known}")
     try:
         return opener(clock=clock, **options)

@@ -11,6 +11,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from crazyarena.mocap.cadence import Cadence
 from crazyarena.mocap.rotations import angle_between
 from crazyarena.plain_text import shown_line
 from crazyarena.types import Pose, PoseFrame, Vector
+from crazyarena.whole_file import write_whole
 
 FORMAT = "crazyarena-measured-track"
 VERSION = 1
@@ -285,12 +287,31 @@ def write_track(path: str | Path, report: SurveyReport, level: str = "") -> None
         for b in report.bodies
         if b.pose is not None
     }
+    _write(path, bodies, level)
+
+
+def write_taped(path: str | Path, poses: Mapping[str, Pose], level: str = "") -> None:
+    """Write a track as people measure it without cameras, to be corrected by hand: place (m) and
+    ``yaw`` (rad) of each body."""
+    bodies = {}
+    for name, pose in poses.items():
+        x, y, z, w = pose.quaternion.tolist()
+        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        place = [round(float(value), 4) for value in pose.position]
+        bodies[name] = {"position": place, "yaw": round(yaw, 5)}
+    _write(path, bodies, level)
+
+
+def _write(path: str | Path, bodies: Mapping[str, Any], level: str) -> None:
     document = {"format": FORMAT, "version": VERSION, "level": level, "bodies": bodies}
-    Path(path).write_text(json.dumps(document, indent=2) + "\n")
+    write_whole(Path(path), json.dumps(document, indent=2) + "\n")
 
 
 def read_track(path: str | Path) -> dict[str, Pose]:
-    """Read a measured track; raises InputError naming file and field."""
+    """Read a measured track; a body has ``position`` (m) and ``quaternion`` or ``yaw`` (rad).
+
+    Raises InputError naming file and field.
+    """
     path = Path(path)
     document = read_json(path, "measured track")
     if not isinstance(document, dict) or (document.get("format"), document.get("version")) != (
@@ -305,7 +326,11 @@ def read_track(path: str | Path) -> dict[str, Pose]:
     for name, body in bodies.items():
         try:
             position = np.array(body["position"], dtype=float)
-            quaternion = np.array(body["quaternion"], dtype=float)
+            if "yaw" in body and "quaternion" not in body:
+                half = 0.5 * float(body["yaw"])
+                quaternion = np.array((0.0, 0.0, math.sin(half), math.cos(half)))
+            else:
+                quaternion = np.array(body["quaternion"], dtype=float)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             what = f"missing {error}" if isinstance(error, KeyError) else str(error)
             raise InputError(f"{path}: body {shown_line(name)}: {shown_line(what)}") from None

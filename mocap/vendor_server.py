@@ -18,10 +18,8 @@ the "QTM Real-time Server Protocol Documentation") that clients use to receive r
 
 from __future__ import annotations
 
-import select
 import socket
 import struct
-import threading
 from collections.abc import Mapping, Sequence
 from xml.sax.saxutils import escape
 
@@ -29,6 +27,7 @@ import numpy as np
 
 from crazyarena.errors import InputError
 from crazyarena.mocap.rotations import euler_xyz, matrix_of
+from crazyarena.mocap.tcp_clients import TcpClients
 from crazyarena.types import Pose, PoseFrame, Vector
 
 ERROR, COMMAND, XML, DATA, NO_DATA, EVENT = 0, 1, 2, 3, 4, 6
@@ -90,7 +89,7 @@ class _Client:
         self.connection.sendall(_PACKET.pack(_PACKET.size + len(payload), kind) + payload)
 
 
-class QualisysServer:
+class QualisysServer(TcpClients[_Client]):
     """Serve pose frames as QTM would.
 
     Parameters
@@ -103,25 +102,12 @@ class QualisysServer:
     """
 
     def __init__(self, bodies: Sequence[str], port: int = 22222, host: str = "127.0.0.1") -> None:
+        super().__init__(_listener(host, port), socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         self.bodies = tuple(bodies)
-        self._lock = threading.Lock()
-        self._clients: list[_Client] = []
         self._last: PoseFrame | None = None
         self.sent = 0
-        self._listener = socket.socket()
-        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            self._listener.bind((host, port + 1 if port else 0))
-        except OSError as error:
-            self._listener.close()
-            raise InputError(f"mocap server: port {port + 1} on {host}: {error}") from None
-        self._listener.listen()
         self.port: int = self._listener.getsockname()[1] - 1
-        self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._wake, self._waker = socket.socketpair()
-        self._closed = False
-        self._thread = threading.Thread(target=self._serve, name="qtm-server", daemon=True)
-        self._thread.start()
+        self._start("qtm-server")
 
     @property
     def clients(self) -> int:
@@ -159,58 +145,25 @@ class QualisysServer:
             components,
         )
 
-    def _drop(self, client: _Client) -> None:
-        if client in self._clients:
-            self._clients.remove(client)
-        client.connection.close()
+    def _make(self, connection: socket.socket, peer: str) -> _Client:
+        return _Client(connection, peer)
 
-    def _serve(self) -> None:
-        while not self._closed:
-            with self._lock:
-                by_socket = {c.connection: c for c in self._clients}
-            ready, _, _ = select.select([self._listener, self._wake, *by_socket], [], [], 1.0)
-            for sock in ready:
-                if sock is self._listener:
-                    self._accept()
-                elif sock is not self._wake:
-                    self._read(by_socket[sock])
+    def _greet(self, client: _Client) -> None:
+        client.send(COMMAND, b"QTM RT Interface connected\0")
 
-    def _accept(self) -> None:
-        try:
-            connection, address = self._listener.accept()
-        except OSError:
-            return
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # A client that stops reading is dropped instead of holding up everybody else.
-        connection.settimeout(0.2)
-        client = _Client(connection, address[0])
-        with self._lock:
-            self._clients.append(client)
-            try:
-                client.send(COMMAND, b"QTM RT Interface connected\0")
-            except OSError:
+    def _heard(self, client: _Client, received: bytes) -> None:
+        client.buffer += received
+        while len(client.buffer) >= _PACKET.size:
+            size, kind = _PACKET.unpack_from(client.buffer)
+            if not _PACKET.size <= size <= _LONGEST_REQUEST:
                 self._drop(client)
-
-    def _read(self, client: _Client) -> None:
-        with self._lock:
-            try:
-                received = client.connection.recv(4096)
-                client.buffer += received
-                if not received:
-                    self._drop(client)
-                while received and len(client.buffer) >= _PACKET.size:
-                    size, kind = _PACKET.unpack_from(client.buffer)
-                    if not _PACKET.size <= size <= _LONGEST_REQUEST:
-                        self._drop(client)
-                        return
-                    if len(client.buffer) < size:
-                        break
-                    payload = client.buffer[_PACKET.size : size]
-                    client.buffer = client.buffer[size:]
-                    if kind == COMMAND:
-                        self._answer(client, payload.rstrip(b"\0").decode("latin-1"))
-            except OSError:
-                self._drop(client)
+                return
+            if len(client.buffer) < size:
+                break
+            payload = client.buffer[_PACKET.size : size]
+            client.buffer = client.buffer[size:]
+            if kind == COMMAND:
+                self._answer(client, payload.rstrip(b"\0").decode("latin-1"))
 
     def _answer(self, client: _Client, text: str) -> None:
         words = text.split()
@@ -269,21 +222,14 @@ class QualisysServer:
             "</The_6D></QTM_Parameters_Ver_1.19>"
         )
 
-    def close(self) -> None:
-        """Hang up on every client and stop; idempotent."""
-        if self._closed:
-            return
-        self._closed = True
-        self._waker.send(b"\0")
-        self._thread.join(timeout=2.0)
-        with self._lock:
-            for client in list(self._clients):
-                self._drop(client)
-        for sock in (self._listener, self._udp, self._wake, self._waker):
-            sock.close()
 
-    def __enter__(self) -> QualisysServer:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+def _listener(host: str, port: int) -> socket.socket:
+    listener = socket.socket()
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port + 1 if port else 0))
+    except OSError as error:
+        listener.close()
+        raise InputError(f"mocap server: port {port + 1} on {host}: {error}") from None
+    listener.listen()
+    return listener

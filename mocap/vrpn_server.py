@@ -5,13 +5,12 @@
 
 from __future__ import annotations
 
-import select
 import socket
-import threading
 from collections.abc import Sequence
 
 from crazyarena.errors import InputError
 from crazyarena.mocap import vrpn_wire as wire
+from crazyarena.mocap.tcp_clients import TcpClients
 from crazyarena.mocap.vrpn_wire import DEFAULT_PORT
 from crazyarena.types import Pose, PoseFrame
 
@@ -28,8 +27,9 @@ def pack_pose(number: int, pose: Pose, time: float, sequence: int) -> bytes:
 
 
 class _Client:
-    def __init__(self, connection: socket.socket) -> None:
+    def __init__(self, connection: socket.socket, peer: str) -> None:
         self.connection = connection
+        self.peer = peer
         self.stream = wire.Stream()
         self.greeted = False
         self.udp: tuple[str, int] | None = None
@@ -37,7 +37,7 @@ class _Client:
         self.senders: dict[int, str] = {}
 
 
-class VrpnServer:
+class VrpnServer(TcpClients[_Client]):
     """Serve pose frames as a VRPN server with one tracker per body.
 
     Parameters
@@ -58,18 +58,14 @@ class VrpnServer:
         host: str = "127.0.0.1",
         bundled: bool = False,
     ) -> None:
+        super().__init__(*_free_pair(host, port))
         self.bodies = tuple(bodies)
         self.sent = 0
         self._numbers = {name: i for i, name in enumerate(self.bodies)}
         self._bundled = bundled
-        self._lock = threading.Lock()
-        self._clients: list[_Client] = []
-        self._listener, self._udp = _free_pair(host, port)
         self.port: int = self._listener.getsockname()[1]
-        self._wake, self._waker = socket.socketpair()
-        self._closed = False
-        self._thread = threading.Thread(target=self._serve, name="vrpn-server", daemon=True)
-        self._thread.start()
+        self._others[self._udp] = self._call_back
+        self._start("vrpn-server")
 
     @property
     def clients(self) -> int:
@@ -104,33 +100,6 @@ class VrpnServer:
         except OSError:
             self._drop(client)
 
-    def _drop(self, client: _Client) -> None:
-        if client in self._clients:
-            self._clients.remove(client)
-        client.connection.close()
-
-    def _serve(self) -> None:
-        while not self._closed:
-            with self._lock:
-                by_socket = {c.connection: c for c in self._clients}
-            ready, _, _ = select.select(
-                [self._listener, self._udp, self._wake, *by_socket], [], [], 1.0
-            )
-            for sock in ready:
-                if sock is self._listener:
-                    self._accept()
-                elif sock is self._udp:
-                    self._call_back()
-                elif sock is not self._wake:
-                    self._read(by_socket[sock])
-
-    def _accept(self) -> None:
-        try:
-            connection, _ = self._listener.accept()
-        except OSError:
-            return
-        self._welcome(connection)
-
     def _call_back(self) -> None:
         """Connect to a client that asked for it, at the address its datagram came from."""
         try:
@@ -140,32 +109,23 @@ class VrpnServer:
             connection = socket.create_connection((address, int(words[1])), timeout=0.5)
         except (OSError, ValueError, IndexError, OverflowError):
             return
-        self._welcome(connection)
+        self._welcome(connection, address)
 
-    def _welcome(self, connection: socket.socket) -> None:
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # A client that stops reading is dropped instead of holding up everybody else.
-        connection.settimeout(0.2)
-        client = _Client(connection)
-        with self._lock:
-            self._clients.append(client)
-            try:
-                connection.sendall(wire.COOKIE)
-            except OSError:
-                self._drop(client)
+    def _make(self, connection: socket.socket, peer: str) -> _Client:
+        return _Client(connection, peer)
 
-    def _read(self, client: _Client) -> None:
-        with self._lock:
-            try:
-                received = client.connection.recv(4096)
-                if not received:
-                    raise OSError("hung up")
-                for message in client.stream.feed(received):
-                    self._answer(client, message)
-                if client.stream.greeted and not client.greeted:
-                    self._describe(client)
-            except (OSError, wire.VrpnError):
-                self._drop(client)
+    def _greet(self, client: _Client) -> None:
+        client.connection.sendall(wire.COOKIE)
+
+    def _heard(self, client: _Client, received: bytes) -> None:
+        try:
+            for message in client.stream.feed(received):
+                self._answer(client, message)
+        except wire.VrpnError:
+            self._drop(client)
+            return
+        if client.stream.greeted and not client.greeted:
+            self._describe(client)
 
     def _describe(self, client: _Client) -> None:
         for number, name in enumerate(_TYPES):
@@ -181,30 +141,11 @@ class VrpnServer:
                 names[message.sender] = wire.described(message)
         elif message.kind == wire.UDP and 0 < message.sender < 65536:
             # To where the connection comes from, whatever address the message names.
-            client.udp = (client.connection.getpeername()[0], message.sender)
+            client.udp = (client.peer, message.sender)
         elif client.types.get(message.kind) == wire.PING:
             number = self._numbers.get(client.senders.get(message.sender, ""))
             if number is not None:
                 client.connection.sendall(wire.pack(_PONG, number, b""))
-
-    def close(self) -> None:
-        """Hang up on every client and stop; idempotent."""
-        if self._closed:
-            return
-        self._closed = True
-        self._waker.send(b"\0")
-        self._thread.join(timeout=2.0)
-        with self._lock:
-            for client in list(self._clients):
-                self._drop(client)
-        for sock in (self._listener, self._udp, self._wake, self._waker):
-            sock.close()
-
-    def __enter__(self) -> VrpnServer:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _free_pair(host: str, port: int) -> tuple[socket.socket, socket.socket]:

@@ -14,11 +14,18 @@ from typing import Any
 
 from rich.console import Console
 
+from crazyarena.errors import InputError
+from crazyarena.levels import load_level
+from crazyarena.levels.draw import LevelRandom
 from crazyarena.levels.schema import Level
+from crazyarena.mocap.onboard import KIND as ONBOARD
+from crazyarena.mocap.survey import write_taped
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.dry_run import DryRun
 from crazyarena.runner.fly import Fly
-from crazyarena.runner.judging.result import TrialResult
+from crazyarena.runner.judging.result import ABORTED, TrialResult
 from crazyarena.runner.records.compare import Comparison, compare
+from crazyarena.runner.records.run_folder import refuse_older_run
 from crazyarena.runner.rig.flight_process.client import connected
 from crazyarena.runner.rig.rig import Rig
 from crazyarena.runner.rig.stops import StopOptions
@@ -26,22 +33,39 @@ from crazyarena.runner.rig.virtual_arena import VirtualArena
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.warm_up import compile_missing
 from crazyarena.safety.limits import Limits
+from crazyarena.sim_backend.arena_world import feet, track_truth
 from crazyarena.sim_backend.crazyradio.environment import with_dongles
 from crazyarena.sim_backend.vehicles import VehicleChoice
+from crazyarena.viewer_process import View, ViewOptions
 
 
 @dataclass
 class BenchResult:
-    """Results of the real-time runs, of the dry runs beside them, and their difference."""
+    """Results of the real-time runs, of the dry runs beside them, and their difference.
+
+    aborted: why a run never flew, which ends the bench; the pairs before it are compared.
+    uncompared: why the flights could not be.
+    """
 
     flown: list[TrialResult] = field(default_factory=list)
     dry: list[TrialResult] = field(default_factory=list)
     arenas: list[dict[str, Any]] = field(default_factory=list)
     comparison: Comparison | None = None
+    aborted: str | None = None
+    uncompared: str | None = None
 
     @property
     def clean(self) -> bool:
-        return all(result.clean for result in (*self.flown, *self.dry))
+        told = self.aborted is None and self.uncompared is None
+        return told and all(result.clean for result in (*self.flown, *self.dry))
+
+
+def aborted(flown: TrialResult) -> str | None:
+    """Why a trial of one episode never flew, in one line; None if it did."""
+    for episode in flown.episodes:
+        if episode.termination == ABORTED:
+            return shown_line(episode.error or "nobody knows why")
+    return None if flown.episodes else "it was ended before the flight"
 
 
 class Bench:
@@ -58,7 +82,9 @@ class Bench:
     vehicle, spread: as for :class:`~crazyarena.runner.dry_run.DryRun`; both sides fly the same.
     mocap: what the cameras speak, one of
         :data:`~crazyarena.runner.rig.arena_cameras.PROTOCOLS`; mocap_options: of the source that
-        sees through them.
+        sees through them. Or ``onboard``: a deck on the vehicle (option ``deck``) and no cameras;
+        the track is then known from a file, as if measured by hand.
+    view: show the flights in the browser.
     """
 
     def __init__(
@@ -83,9 +109,15 @@ class Bench:
         spread: bool | None = None,
         mocap: str = "zenoh",
         mocap_options: dict[str, Any] | None = None,
+        view: ViewOptions | None = None,
     ) -> None:
+        self._view_options = view
+        self._view: View | None = None
         self._mocap = mocap
         self._mocap_options = mocap_options
+        self._deck = None
+        if mocap == ONBOARD:
+            self._deck = str((mocap_options or {}).get("deck", "lighthouse"))
         self._radio = radio
         self._cameras = cameras
         self._submission = submission
@@ -110,13 +142,39 @@ class Bench:
 
     def run(self) -> BenchResult:
         """Fly everything."""
+        if self._view_options is not None:
+            self._view = View(
+                self._view_options,
+                lambda text: self._console.print(text, highlight=False, soft_wrap=True),
+            )
+        try:
+            result = self._run()
+        except BaseException:
+            if self._view is not None:
+                self._view.close()
+            raise
+        return result
+
+    def finish(self) -> None:
+        """Let the viewer stay as long as somebody looks."""
+        if self._view is not None:
+            self._view.finish()
+
+    def _run(self) -> BenchResult:
+        refuse_older_run(self._out)
         compile_missing(("arena", "estimator", "referee"), self._console)
         result = BenchResult()
         for index in range(self._runs):
             seed = self._seed
             folder = self._out / f"bench_{index:02d}"
             folder.mkdir(parents=True, exist_ok=True)
-            result.flown.append(self._fly(folder, seed, result))
+            flown = self._fly(folder, seed, result)
+            result.flown.append(flown)
+            reason = aborted(flown)
+            if reason is not None:
+                # Nothing has changed since: the next run would end the same way.
+                result.aborted = f"run {index} was aborted: {reason}"
+                break
             if self._dry:
                 dry = DryRun(
                     self._submission,
@@ -124,15 +182,20 @@ class Bench:
                     seed=seed,
                     out=self._out / f"dry_{index:02d}",
                     noise_seed=seed + index,
+                    deck=self._deck,
                     **self._common,
                 )
                 result.dry.append(dry.run())
-        if self._dry:
-            result.comparison = compare(
-                [self._out / f"dry_{i:02d}" for i in range(self._runs)],
-                [self._out / f"bench_{i:02d}" for i in range(self._runs)],
-                ("dry run", "bench"),
-            )
+        if result.dry:
+            pairs = range(len(result.dry))
+            try:
+                result.comparison = compare(
+                    [self._out / f"dry_{i:02d}" for i in pairs],
+                    [self._out / f"bench_{i:02d}" for i in pairs],
+                    ("dry run", "bench"),
+                )
+            except InputError as error:
+                result.uncompared = str(error)
         return result
 
     def _fly(self, folder: Path, seed: int, result: BenchResult) -> TrialResult:
@@ -169,6 +232,12 @@ class Bench:
             rig.closers.insert(0, arena.close)
             return rig
 
+        surveyed = None
+        if self._mocap == ONBOARD:
+            loaded = load_level(self._level, self._common["overrides"])
+            draw = LevelRandom(loaded, seed).reset()
+            surveyed = str(folder / "track.json")
+            write_taped(surveyed, track_truth(feet(draw), draw.obstacles), loaded.name)
         fly = Fly(
             self._submission,
             self._level,
@@ -179,6 +248,9 @@ class Bench:
             real_time=self._real_time,
             stops=self._stops,
             waive=self._waive,
+            surveyed=surveyed,
+            onboard=self._mocap == ONBOARD,
+            view=self._view,
             **self._common,
         )
         flown = fly.run()

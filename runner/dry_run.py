@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import datetime
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,93 +11,41 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from crazyarena.errors import InputError
+from crazyarena.errors import InputError, StorageError
 from crazyarena.levels.draw import Draw
-from crazyarena.levels.schema import Level, Profile
+from crazyarena.levels.schema import Profile
 from crazyarena.plain_text import shown, shown_line
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.in_process import InProcess
+from crazyarena.runner.contestant.shipped import example_racer
 from crazyarena.runner.judging.result import EpisodeResult, TrialResult
 from crazyarena.runner.records.outcome_table import table
 from crazyarena.runner.records.recorder import Recorder
-from crazyarena.runner.records.report import NOT_ISOLATED, write_result
+from crazyarena.runner.records.report import NOT_ISOLATED, result_document
+from crazyarena.runner.records.run_folder import ResultFile, run_folder
 from crazyarena.runner.trial.control_loop import Deadlines
-from crazyarena.runner.trial.entry import Entry, enter
+from crazyarena.runner.trial.entry import enter
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.trial.staging import Staging
 from crazyarena.runner.trial.trial import Trial
 from crazyarena.runner.trial.world import World
+from crazyarena.runner.trial.worlds import make_world
 from crazyarena.runner.warm_up import compile_missing, parts_of
+from crazyarena.viewer_process import View, ViewOptions
 
 # What only arena levels need is imported when one is flown: it would double the start-up.
 if TYPE_CHECKING:
     from crazyarena.mocap.camera_model import CameraModel
     from crazyarena.runner.trial.checklist import FlightChecklist
     from crazyarena.runner.trial.injection import Injection
-    from crazyarena.runner.trial.phase import MeasuredTrack
+    from crazyarena.runner.trial.phase import MeasuredTrack, Phase
     from crazyarena.runner.trial.phases import Crew
+    from crazyarena.runner.trial.showing import Showing
     from crazyarena.runner.trial.tracked_world import TrackedWorld
     from crazyarena.safety.limits import Limits
     from crazyarena.sim_backend.vehicles import Vehicle, VehicleChoice, VehicleSupply
 
     Track = Draw | MeasuredTrack
-
-
-def example_racer() -> Path:
-    """Folder of the example that comes along; raises InputError if it did not."""
-    package = Path(__file__).resolve().parent
-    for root in (package.parent, package.parent / "crazyarena"):
-        folder = root / "examples" / "racer"
-        if folder.is_dir():
-            return folder
-    raise InputError("the example racer is not part of this installation. Pass a submission")
-
-
-def make_world(
-    level: Level,
-    seed: int,
-    limits: Limits | None = None,
-    supply: VehicleSupply | None = None,
-    cameras: CameraModel | None = None,
-    entry: Entry | None = None,
-) -> World:
-    """Return the simulated world of a level's profile; ``seed`` is that of its noise, ``limits``
-    those of its watchdog, ``supply`` of the vehicles of an arena, ``cameras`` its own, ``entry``
-    what has a track of its own."""
-    if level.profile is Profile.COMPETITION:
-        from crazyarena.sim_backend.competition import CompetitionWorld
-
-        return CompetitionWorld(level.control_frequency)
-    from crazyarena.runner.rig.rig import simulated
-    from crazyarena.runner.trial.tracked_world import TrackedWorld
-
-    rig = simulated(
-        level,
-        seed,
-        cameras,
-        limits=limits,
-        supply=supply,
-        track=None if entry is None else entry.track,
-        params=None if entry is None else entry.params,
-    )
-    return TrackedWorld(rig)
-
-
-def results_folder(out: Path | None, submission: Path, level: str) -> Path:
-    """Make the folder of a run: ``out``, or a new one under ``runs/`` named after both."""
-    if out is None:
-        stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-        stem = submission.stem if submission.suffix == ".py" else submission.name
-        base = Path("runs") / f"{stamp}-{stem}-{level}"
-        out, count = base, 1
-        while out.exists():
-            count += 1
-            out = base.with_name(f"{base.name}-{count}")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {out}: cannot make this folder: {error.strerror}") from error
-    return out.resolve()
 
 
 class _Display:
@@ -124,7 +71,9 @@ class DryRun:
     noise_seed: of the rig's measurement noise; that of the level's draws by default.
     vehicle: which vehicle flies, on arena levels; that of the level by default.
     spread: whether a vehicle is drawn from the spread of the model; as the level says by default.
-    cameras: of an arena, instead of the usual ones.
+    cameras: of an arena, instead of the usual ones. deck: on the vehicle, instead of cameras.
+    view: show it in the browser; pace: times real time that it then flies at, 0 for as fast as it
+        goes.
     """
 
     def __init__(
@@ -143,8 +92,16 @@ class DryRun:
         vehicle: VehicleChoice | None = None,
         spread: bool | None = None,
         cameras: CameraModel | None = None,
+        deck: str | None = None,
+        view: View | ViewOptions | None = None,
+        pace: float = 1.0,
     ) -> None:
+        self._deck = deck
         self._cameras = cameras
+        self._wanted_view = view
+        self._view: View | None = None
+        self._pace = pace
+        self._show: Showing | None = None
         path = example_racer() if submission is None else submission
         self.entry = enter(path, level, overrides)
         self._level = self.entry.level
@@ -163,7 +120,6 @@ class DryRun:
         self._console = console if console is not None else Console()
         self._drawings: list[tuple[Any, ...]] = []
         self._preflight: FlightChecklist | None = None
-        self._isolated = False
 
     @property
     def seed(self) -> int:
@@ -201,28 +157,75 @@ class DryRun:
         return VehicleSupply(self._vehicle, self._seed if self._spread else None)
 
     def run(self) -> TrialResult:
-        """Fly, report, write ``result.json``; returns the result."""
+        """Fly, report, write ``result.json``; returns the result.
+
+        Raises
+        ------
+        InputError: nothing has flown. StorageError: the disk takes no more; what was flown before
+            is reported and kept.
+        """
+        try:
+            return self._run()
+        except BaseException:
+            if self._view is not None and self._view is not self._wanted_view:
+                self._view.close()
+            raise
+
+    def _run(self) -> TrialResult:
         console = self._console
         level = self._level
         compile_missing(parts_of(level), console)
         world = self._make_world()
-        self.out = results_folder(self._wanted_out, self._path, level.name)
+        self._flown = TrialResult([], self._episodes)
+        self._origin: dict[str, Any] = {}
+        try:
+            self.out = run_folder(self._wanted_out, self._path, level.name)
+            beginning = result_document(self._flown, self._origin, finished=False)
+            self._results = ResultFile(self.out, beginning)
+        except BaseException:
+            world.close()
+            raise
         try:
             with contextlib.ExitStack() as stack:
                 stack.callback(world.close)
+                self._open_show(world, stack)
                 contestant = self._contestant()
                 stack.callback(contestant.close)
-                origin = self.entry.provenance(self._seed, contestant.digest)
+                origin = self._origin
+                origin |= self.entry.provenance(self._seed, contestant.digest)
                 origin["contestant"] = contestant.description
+                self._flown.isolated = bool(contestant.description["isolated"])
                 progress = stack.enter_context(self._progress())
                 display = _Display(progress, level.episode_length, self._episodes)
                 result = self._fly(world, contestant, display, origin, stack)
         except BaseException:
-            self._remove_if_empty(self.out / "work", self.out)
+            self._left_by_error()
             raise
         self._remove_if_empty(self.out / "work")
-        self._draw_figures()
-        write_result(self.out / "result.json", result, origin)
+        self._report(result)
+        if result.cut_short is not None:
+            raise StorageError(result.cut_short)
+        if self._view is not None and self._view is not self._wanted_view:
+            self._view.finish()
+        return result
+
+    def _left_by_error(self) -> None:
+        """Keep what was flown before an error, or leave nothing."""
+        if self._flown.episodes:
+            self._remove_if_empty(self.out / "work")
+            with contextlib.suppress(StorageError):  # the error that led here is told
+                self._report(self._flown)
+            return
+        self._results.discard()
+        self._remove_if_empty(self.out / "work", self.out)
+
+    def _report(self, result: TrialResult) -> None:
+        console, origin = self._console, self._origin
+        document = result_document(result, origin)
+        try:
+            self._results.finish(document)
+        except StorageError as error:
+            result.cut_short = result.cut_short or str(error)
         console.print(table(result))
         seed = "that is secret" if self._options.secret else self._seed
         for line in self.entry.told(result, seed):
@@ -239,24 +242,63 @@ class DryRun:
         if not result.isolated:
             self._print(NOT_ISOLATED)
         self._print(f"Results in {shown_line(str(self.out))}")
-        for episode in result.episodes:
-            if "figure" in episode.files:
-                figure = self.out / episode.files["figure"]
-                self._print(f"Figure: {shown_line(str(figure))}")
-        return result
+        if self._draw_figures(result):
+            self._results.finish(result_document(result, origin))
+
+    def _opened_view(self) -> View | None:
+        """Where viewers look; None if nobody is to."""
+        wanted = self._wanted_view
+        return View(wanted, self._print) if isinstance(wanted, ViewOptions) else wanted
+
+    _controlled = False
+    """A viewer may stop and land what flies."""
+
+    def _open_show(self, world: World, stack: contextlib.ExitStack) -> None:
+        self._view = self._opened_view()
+        if self._view is None:
+            return
+        from crazyarena.runner.trial.showing import Showing
+        from crazyarena.runner.trial.tracked_world import TrackedWorld
+
+        self._show = Showing(
+            self._view.live,
+            self._level,
+            self._episodes,
+            limits=self._limits(),
+            pace=self._pace,
+            control=self._controlled,
+        )
+        stack.callback(self._show.close)
+        if isinstance(world, TrackedWorld):
+            self._show.attach(world.rig)
+        if not self._controlled:
+            self._view.await_browser()
 
     def _print(self, text: str, style: str | None = None) -> None:
         self._console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
     def _make_world(self) -> World:
         seed = self._seed if self._noise_seed is None else self._noise_seed
-        return make_world(self._level, seed, self._limits(), self.supply, self._cameras, self.entry)
+        return make_world(
+            self._level,
+            seed,
+            self._limits(),
+            self.supply,
+            self._cameras,
+            self._deck,
+            self.entry,
+        )
 
     def _limits(self) -> Limits:
-        """Of the watchdog."""
+        """Of the watchdog, for the vehicle as its model has it, whatever is drawn."""
         from crazyarena.runner.rig.safeguard import limits_for
 
-        limits = limits_for(self._level.control_frequency, self._options.max_misses)
+        flown = None
+        if self._vehicle is not None:
+            from crazyarena.runner.rig.flight_model import flight_model
+
+            flown = flight_model(self._vehicle)
+        limits = limits_for(self._level.control_frequency, self._options.max_misses, flown)
         return self.entry.limits(limits)
 
     def _contestant(self) -> Contestant:
@@ -264,7 +306,7 @@ class DryRun:
         sandboxed = options.sandboxed(self._level)
         contestant = self.entry.contestant(options, self.out / "work", sandboxed)
         if sandboxed:
-            from crazyarena.runner.contestant.sandbox.process import announcement
+            from crazyarena.runner.contestant.sandbox.announce import announcement
 
             self._print(announcement(contestant.description))
         return contestant
@@ -284,6 +326,7 @@ class DryRun:
             "keep_states": self._figure,
             "on_step": display,
             "on_episode": self._keep,
+            "show": self._show,
         }
         deadlines = self._options.deadlines(self._level)
         origin["deadlines"] = {
@@ -302,8 +345,7 @@ class DryRun:
             **common,
         )
         result = trial.run()
-        result.isolated = bool(contestant.description["isolated"])
-        self._isolated = result.isolated
+        result.isolated = self._flown.isolated
         if self._preflight is not None:
             origin["preflight"] = self._preflight.record()
         if staging.in_force:
@@ -354,8 +396,30 @@ class DryRun:
         landmarks = None if site is None else site.landmarks
         self._preflight = FlightChecklist(world.rig, self._level, landmarks=landmarks)
         return Crew(
-            world.rig, world, self._level, checks=(self._preflight,), anywhere=True, site=site
+            world.rig,
+            world,
+            self._level,
+            on_phase=self._tell,
+            checks=(self._checked,),
+            anywhere=True,
+            site=site,
         )
+
+    def _tell(self, phase: Phase, text: str) -> None:
+        """A phase has begun, or has found something."""
+        if self._show is not None:
+            self._show.phase(phase, text)
+
+    def _checked(self) -> list[str]:
+        """Go through the checklist, for viewers to see; returns what grounds the vehicle."""
+        assert self._preflight is not None
+        problems = self._preflight()
+        if self._show is not None:
+            self._show.checklist(
+                (line.name, line.ok, line.found, line.remedy, line.waived)
+                for line in self._preflight.lines
+            )
+        return problems
 
     def _injection(self, stack: contextlib.ExitStack) -> Injection:
         from crazyarena.runner.trial.injection import Injection
@@ -380,20 +444,30 @@ class DryRun:
         )
 
     def _keep(self, result: EpisodeResult, recorder: Recorder | None, track: Track) -> None:
+        """After every episode: whatever ends the run later, this one was flown."""
         if self._figure and recorder is not None:
             states = np.array(recorder.states)
             gates = self.entry.drawn(track.gates)
             self._drawings.append((result, states, gates, track.obstacles))
+        self._flown.episodes.append(result)
+        document = result_document(self._flown, self._origin, finished=False)
+        self._results.add(result.as_dict(), document)
 
-    def _draw_figures(self) -> None:
-        """Matplotlib is slow to import, so it comes last."""
+    def _draw_figures(self, result: TrialResult) -> bool:
+        """Matplotlib is slow to import, so it comes last; whether there is any figure."""
         if not self._drawings:
-            return
+            return False
         from crazyarena.runner.records.figure import save_figure
 
-        for result, states, gates, obstacles in self._drawings:
-            file = self.out / f"episode_{result.index:03d}.png"
-            save_figure(
-                file, self._level, result, states, gates, obstacles, isolated=self._isolated
-            )
-            result.files["figure"] = file.name
+        for episode, states, gates, obstacles in self._drawings:
+            file = self.out / f"episode_{episode.index:03d}.png"
+            try:
+                save_figure(
+                    file, self._level, episode, states, gates, obstacles, isolated=result.isolated
+                )
+            except StorageError as error:
+                result.cut_short = result.cut_short or str(error)
+                return False
+            episode.files["figure"] = file.name
+            self._print(f"Figure: {shown_line(str(file))}")
+        return True

@@ -13,6 +13,7 @@ from crazyarena.mocap.survey import read_track
 from crazyarena.runner.dry_run import DryRun
 from crazyarena.runner.rig.rig import Rig
 from crazyarena.runner.rig.stops import StopOptions
+from crazyarena.runner.trial.asking import ask_operator
 from crazyarena.runner.trial.checklist import FlightChecklist
 from crazyarena.runner.trial.injection import DEFAULT_PREFIX, Injection, ZenohOutlet
 from crazyarena.runner.trial.phase import Grip, Phase
@@ -21,6 +22,7 @@ from crazyarena.runner.trial.tracked_world import TrackedWorld
 from crazyarena.runner.trial.world import World
 from crazyarena.safety.limits import Limits
 from crazyarena.types import Pose
+from crazyarena.viewer_process import View
 
 OpenRig = Callable[[Level, Limits], Rig]
 
@@ -38,6 +40,7 @@ class Fly(DryRun):
     stops: what stops the flight besides the watchdog.
     waive: lines of the pre-flight checklist that must not ground the vehicle.
     uri: link of the vehicle, if there are people to try the emergency stop and tip it by hand.
+    onboard: the poses are the vehicle's own estimate; what stands in the arena nobody sees.
 
     Raises
     ------
@@ -55,8 +58,10 @@ class Fly(DryRun):
         stops: StopOptions | None = None,
         waive: Sequence[str] = (),
         uri: str | None = None,
+        onboard: bool = False,
         **options: Any,
     ) -> None:
+        options.setdefault("pace", 0.0)  # the clock's own
         super().__init__(*arguments, **options)
         if self._level.profile is not Profile.ARENA:
             raise InputError(
@@ -65,6 +70,16 @@ class Fly(DryRun):
             )
         if self._options.sandbox is False:
             raise InputError("fly: a contestant never shares the process of a vehicle's link")
+        if onboard and self._level.track.tracked:
+            raise InputError(
+                f"level {self._level.name}: gates that move have to be seen; --mocap onboard sees "
+                "none"
+            )
+        if onboard and uri is not None and surveyed is None and self._level.track.gates:
+            raise InputError(
+                "--mocap onboard: no cameras measure the track; --survey FILE. crazyarena "
+                "arena-check LEVEL --track FILE writes one to be corrected by hand"
+            )
         self._open_rig = open_rig
         self._yes = yes
         self._surveyed: dict[str, Pose] | None = None if surveyed is None else read_track(surveyed)
@@ -74,6 +89,7 @@ class Fly(DryRun):
         self._uri = uri
         self._stop_options = stops or StopOptions()
         self._stop_options.check()
+        self._asking: Crew | None = None
 
     def _make_world(self) -> World:
         return TrackedWorld(self._open_rig(self._level, self._limits()))
@@ -88,6 +104,8 @@ class Fly(DryRun):
             out=self.out,
             say=lambda text: self._tell(Phase.PREFLIGHT, text),
             landmarks=None if site is None else site.landmarks,
+            vehicle=self.model,
+            surveyed=self._surveyed,
         )
         crew = Crew(
             world.rig,
@@ -96,10 +114,11 @@ class Fly(DryRun):
             confirm=lambda question: self._confirm(question, world),
             on_phase=self._tell,
             surveyed=self._surveyed,
-            checks=(self._preflight,),
+            checks=(self._checked,),
             anywhere=True,  # that is a line of the checklist
             site=site,
         )
+        self._asking = crew
         self._listen_for_stops(world, crew)
         return crew
 
@@ -110,7 +129,21 @@ class Fly(DryRun):
         stack.callback(outlet.close)
         return Injection(outlet)
 
+    _controlled = True
+
+    def _opened_view(self) -> View | None:
+        """Always there: people may want to look when the flight has begun already."""
+        wanted = self._wanted_view
+        if wanted is not None:
+            return super()._opened_view()
+        try:
+            return View(None, self._print)
+        except InputError as error:
+            self._print(str(error))
+            return None
+
     def _tell(self, phase: Phase, text: str) -> None:
+        super()._tell(phase, text)
         line = phase.value if not text else f"{phase.value}: {text}"
         self._console.print(line, highlight=False, markup=False)
 
@@ -118,11 +151,16 @@ class Fly(DryRun):
         guard = world.rig.safeguard
         if guard is not None:
             guard.close_keys()  # they belong to the question now
-        if not self._yes:
-            if not sys.stdin.isatty():
-                raise InputError("fly: nobody can answer here. Pass --yes to start without asking")
-            if not self._console.input(f"{question} [y/N] ").strip().lower().startswith("y"):
-                return False
+        if not self._yes and not ask_operator(
+            question,
+            world.rig.clock,
+            terminal=sys.stdin if sys.stdin.isatty() else None,
+            show=self._show,
+            page=self._view is not None and self._view.shown,
+            say=lambda text: self._console.print(text, end="", markup=False, highlight=False),
+            interrupted=lambda: self._asking is not None and self._asking.interrupted(),
+        ):
+            return False
         keys = self._stop_options.only_keyboard()
         if guard is not None and keys.keyboard:
             for note in guard.open_keys(keys):

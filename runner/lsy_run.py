@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import datetime
 import json
-from collections.abc import Sequence
+import signal
+import threading
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from crazyarena.errors import InputError
 from crazyarena.levels.lsy import LsyLevel, load_lsy_level
 from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, fresh_seed, refuse_short_keys
 from crazyarena.levels.lsy.schema import LsyProfile
-from crazyarena.plain_text import shown_in
+from crazyarena.plain_text import shown, shown_line
 from crazyarena.runner.contestant.contract_lsy.dialogue import LsyContestant
 from crazyarena.runner.contestant.contract_lsy.pilot import LsyInProcess
 from crazyarena.runner.contestant.contract_lsy.submission import (
@@ -27,12 +29,14 @@ from crazyarena.runner.contestant.contract_lsy.submission import (
     controller_hash,
     find_controller,
 )
+from crazyarena.runner.contestant.prints import PrintsShown
 from crazyarena.runner.judging.lsy_rules import LsyReferee
 from crazyarena.runner.judging.result import CONTROLLER_ERROR, INTERRUPTED
 from crazyarena.runner.records.lsy_scene import lsy_scene
 from crazyarena.runner.records.outcome_table import computing
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.records.report import machine, versions
+from crazyarena.runner.records.run_folder import ResultFile, run_folder
 from crazyarena.runner.trial.lsy_episode import COMMAND_LAYOUT, LsyEpisode, LsyEpisodeResult
 from crazyarena.runner.trial.options import secret_seed
 from crazyarena.runner.warm_up import compile_missing
@@ -46,11 +50,12 @@ ENOUGH = 0.5
 
 @dataclass
 class LsyResult:
-    """All episodes of a run."""
+    """All episodes of a run; cut_short: what ended it that was no part of the flight."""
 
     episodes: list[LsyEpisodeResult]
     requested: int
     seed: int
+    cut_short: str | None = None
 
     @property
     def success_rate(self) -> float:
@@ -83,7 +88,7 @@ class LsyRun:
     level: ``lsy/level0`` ... or a TOML file; overrides: see :func:`load_lsy_level`.
     seed: replaces the level's; -1 there means a new one, which is told.
     secret: draw from 128 bits that nobody can guess instead; in a process of its own.
-    out: results folder, or None for none at all.
+    out: results folder, or None for none at all, unless ``keep``: then a new one under ``runs/``.
     record: write an MCAP file an episode into it.
     sandbox: run the controller in a process of its own; require: refuse to without full walls.
 
@@ -102,6 +107,7 @@ class LsyRun:
         seed: int | None = None,
         secret: bool = False,
         out: Path | None = None,
+        keep: bool = False,
         record: bool = True,
         sandbox: bool = False,
         require_sandbox: bool = False,
@@ -126,6 +132,10 @@ class LsyRun:
         self.seed = self._settled(seed, secret)
         self._episodes = episodes
         self.out = out
+        self._keep = keep
+        self._path = path
+        self._file_of_results: ResultFile | None = None
+        self._cut_short: str | None = None
         self._record = record
         self.isolated = False
         self._sandbox = sandbox or secret
@@ -147,30 +157,39 @@ class LsyRun:
         console, level = self._console, self.level
         for warning in level.warnings:
             console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
-        if self.out is not None:
-            try:
-                self.out.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise InputError(
-                    f"--out {self.out}: cannot make this folder: {error.strerror}"
-                ) from error
         compile_missing(("successor",), console)
         world = SuccessorWorld(level)
         random = LsyRandom(level, nominal(level), self.seed)
         referee = LsyReferee(level)
-        results: list[LsyEpisodeResult] = []
-        with contextlib.ExitStack() as stack:
-            contestant = self._contestant(stack)
-            stack.callback(contestant.close)
-            for index in range(self._episodes):
-                result = self._episode(index, contestant, world, referee, random.reset())
-                results.append(result)
-                if result.termination in (CONTROLLER_ERROR, INTERRUPTED):
-                    break
-        self.isolated = bool(contestant.description["isolated"])
-        outcome = LsyResult(results, self._episodes, self.seed)
-        if self.out is not None:
-            self._write(outcome, contestant)
+        outcome = LsyResult([], self._episodes, self.seed)
+        if self.out is not None or self._keep:
+            self.out = run_folder(self.out, self._path, level.name)
+            self._file_of_results = ResultFile(self.out, self._document(outcome, None, False))
+        try:
+            with contextlib.ExitStack() as stack:
+                contestant = self._contestant(stack)
+                stack.callback(contestant.close)
+                self.isolated = bool(contestant.description["isolated"])
+                if not self._sandbox:
+                    stack.callback(PrintsShown(lambda: True).close)
+                stack.enter_context(_terminable())
+                for index in range(self._episodes):
+                    result = self._episode(index, contestant, world, referee, random.reset())
+                    outcome.episodes.append(result)
+                    outcome.cut_short = self._cut_short
+                    if self._file_of_results is not None:
+                        document = self._document(outcome, contestant, False)
+                        self._file_of_results.add(asdict(result), document)
+                    if outcome.cut_short or result.termination in (CONTROLLER_ERROR, INTERRUPTED):
+                        break
+        except BaseException:
+            if not outcome.episodes and self._file_of_results is not None:
+                assert self.out is not None
+                self._file_of_results.discard()
+                _remove_if_empty(self.out)
+            raise
+        if self._file_of_results is not None:
+            self._file_of_results.finish(self._document(outcome, contestant, True))
         return outcome
 
     def _contestant(self, stack: contextlib.ExitStack) -> LsyContestant:
@@ -202,6 +221,7 @@ class LsyRun:
             if recorder is not None:
                 recorder.close()
         if recorder is not None and recorder.file is not None:
+            self._cut_short = recorder.trouble
             result.files["recording"] = recorder.file.name
         return result
 
@@ -225,10 +245,13 @@ class LsyRun:
         scene = lsy_scene(draw.gates, draw.obstacles)
         return Recorder(self.out / f"episode_{index:03d}.mcap", metadata, scene, WallClock())
 
-    def _write(self, result: LsyResult, contestant: LsyContestant) -> None:
-        assert self.out is not None
-        document = {
+    def _document(
+        self, result: LsyResult, contestant: LsyContestant | None, finished: bool
+    ) -> dict[str, Any]:
+        return {
             "format": FORMAT,
+            "finished": finished,
+            "isolated": self.isolated,
             "contract": "lsy_drone_racing",
             **summary(result),
             "episodes": [asdict(episode) for episode in result.episodes],
@@ -242,13 +265,10 @@ class LsyRun:
                 "rng": self.level.rng.value,
                 "seed": self.seed,
                 "submission": str(self._file),
-                "submission_sha256": contestant.digest,
-                "contestant": contestant.description,
+                "submission_sha256": contestant.digest if contestant is not None else None,
+                "contestant": contestant.description if contestant is not None else None,
             },
         }
-        document["isolated"] = self.isolated
-        text = json.dumps(shown_in(document), indent=2)
-        (self.out / "result.json").write_text(text + "\n")
 
 
 def summary(result: LsyResult) -> dict[str, Any]:
@@ -263,6 +283,24 @@ def summary(result: LsyResult) -> dict[str, Any]:
     }
 
 
+@contextlib.contextmanager
+def _terminable() -> Iterator[None]:
+    """SIGTERM and a closed terminal end a run as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {}
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            before[number] = signal.signal(number, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def _remove_if_empty(folder: Path) -> None:
     with contextlib.suppress(OSError):
         folder.rmdir()
@@ -271,23 +309,24 @@ def _remove_if_empty(folder: Path) -> None:
 def lsy_table(result: LsyResult) -> Any:
     """Rich table, a row an episode."""
     from rich import box
+    from rich.markup import escape
     from rich.table import Table
 
-    shown = Table(box=box.SIMPLE, header_style="bold", collapse_padding=True, pad_edge=False)
-    shown.add_column("#", justify="right")
-    shown.add_column("termination", no_wrap=True)
+    view = Table(box=box.SIMPLE, header_style="bold", collapse_padding=True, pad_edge=False)
+    view.add_column("#", justify="right")
+    view.add_column("termination", no_wrap=True)
     for name in ("time s", "gates", "compute ms\np50/max"):
-        shown.add_column(name, justify="right", no_wrap=True)
+        view.add_column(name, justify="right", no_wrap=True)
     for e in result.episodes:
         style = "green" if e.success else "red"
-        shown.add_row(
+        view.add_row(
             str(e.index + 1),
-            f"[{style}]{e.termination}[/{style}]",
+            f"[{style}]{escape(shown_line(e.termination))}[/{style}]",
             f"{e.time:.2f}",
             f"{e.gates_passed}/{e.gates}",
             computing(e.compute_ms),
         )
-    return shown
+    return view
 
 
 def tell(result: LsyResult, console: Console) -> None:
@@ -295,7 +334,9 @@ def tell(result: LsyResult, console: Console) -> None:
     console.print(lsy_table(result))
     for episode in result.episodes:
         for note in episode.notes:
-            text = f"episode {episode.index + 1}: {note}"
+            text = shown(f"episode {episode.index + 1}: {note}")
             console.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
     if result.error is not None:
-        console.print(result.error, style="red", markup=False, highlight=False, soft_wrap=True)
+        console.print(
+            shown(result.error), style="red", markup=False, highlight=False, soft_wrap=True
+        )

@@ -81,11 +81,12 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """The last value along an axis that was completed; ``beyond``: the worst one was as well."""
+    """The last value along an axis that was completed, and how it ends a little further on;
+    ``end`` None: even the worst one was completed."""
 
     axis: Axis
     value: float
-    beyond: bool
+    end: str | None
 
 
 @dataclass
@@ -102,7 +103,7 @@ class Margins:
         return {
             "nominal": self.nominal,
             "margins": {
-                m.axis.name: {"nominal": m.axis.nominal, "largest": m.value, "beyond": m.beyond}
+                m.axis.name: {"nominal": m.axis.nominal, "largest": m.value, "beyond": m.end}
                 for m in self.margins
             },
             "verdicts": [
@@ -127,19 +128,23 @@ def axes(vehicle: Vehicle) -> list[Axis]:
     ]
 
 
-def largest(completes: Callable[[float], bool], nominal: float, worst: float) -> tuple[float, bool]:
-    """Last value from ``nominal``, which completes, towards ``worst`` that completes, by
-    bisection; and whether even the worst one does."""
-    if completes(worst):
-        return worst, True
+def largest(
+    end_of: Callable[[float], str | None], nominal: float, worst: float
+) -> tuple[float, str | None]:
+    """Last value from ``nominal``, which completes (None), towards ``worst`` that completes, by
+    bisection; and how the first one ends that does not, None if even the worst completes."""
+    end = end_of(worst)
+    if end is None:
+        return worst, None
     good, bad = nominal, worst
     for _ in range(_STEPS):
         middle = 0.5 * (good + bad)
-        if completes(middle):
+        ended = end_of(middle)
+        if ended is None:
             good = middle
         else:
-            bad = middle
-    return good, False
+            bad, end = middle, ended
+    return good, end
 
 
 class MarginRun:
@@ -192,12 +197,12 @@ class MarginRun:
         if nominal is None:
             for axis in axes(vehicle):
                 self._say(f"margins: {axis.name}")
-                value, beyond = largest(
-                    lambda v, axis=axis: self._end(axis.set(v), vehicle) is None,  # type: ignore[misc]
+                value, end = largest(
+                    lambda v, axis=axis: self._end(axis.set(v), vehicle),  # type: ignore[misc]
                     axis.nominal,
                     axis.worst,
                 )
-                result.margins.append(Margin(axis, value, beyond))
+                result.margins.append(Margin(axis, value, end))
         for lag in LAGS:
             self._say(f"margins: rotor lag {lag:g} s")
             for drag in DRAGS:
@@ -231,14 +236,15 @@ def tables(result: Margins) -> list[Any]:
 
     shown = []
     if result.margins:
-        table = Table("largest", "", "nominal", box=box.SIMPLE, pad_edge=False)
+        table = Table("largest", "", "nominal", "beyond", box=box.SIMPLE, pad_edge=False)
         for m in result.margins:
-            more = "> " if m.beyond else ""
+            more = "> " if m.end is None else ""
             scale, unit = m.axis.scale, m.axis.unit
             table.add_row(
                 m.axis.name,
                 f"{more}{scale * m.value:.3g} {unit}",
                 f"{scale * m.axis.nominal:.3g} {unit}",
+                "not tried" if m.end is None else m.end,
             )
         shown.append(table)
     table = Table("rotor lag", *(f"drag x {drag:g}" for drag in DRAGS), box=box.SIMPLE)

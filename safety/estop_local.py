@@ -31,7 +31,8 @@ ONLY_PLACE = "CRAZYARENA_RUNTIME_DIR"
 """Environment variable: the one folder to use, by listeners and by who stops; for tests, and for
 sessions that must not hear each other's stops."""
 
-STOPPED, TESTED, HEARD, REFUSED = "stopped", "tested", "heard", "refused"
+STOPPED, TESTED, LANDING = "stopped", "tested", "landing"
+HEARD, REFUSED = "heard", "refused"
 """Beginnings of answers; all but HEARD are final."""
 
 ABSTRACT = "crazyarena-estop/"
@@ -126,6 +127,7 @@ def stop_local(
     folder: Path | None = None,
     timeout: float = 1.5,
     warn: Callable[[str], None] = lambda text: None,
+    land: bool = False,
 ) -> list[tuple[str, str]]:
     """Stop every running session of this user; the super-user those of everybody.
 
@@ -136,13 +138,16 @@ def stop_local(
     folder: the only one to look in; by default all of :func:`places`, and abstract sockets.
     timeout: s, for all answers together.
     warn: told of what looks odd; nothing of that keeps a stop from being sent.
+    land: ask them to land instead, where a watchdog can.
 
     Returns
     -------
     For each, the name of its socket and its answer: ``stopped`` where a vehicle's link has
-    confirmed, ``tested``, or what went wrong. Sockets nobody listens on any more are removed.
+    confirmed, ``tested``, ``landing``, or what went wrong. Sockets nobody listens on any more
+    are removed.
     """
-    payload = json.dumps({"test": True} if test else {"reason": reason}).encode()
+    wanted = {"test": True} if test else {"reason": reason, **({"land": True} if land else {})}
+    payload = json.dumps(wanted).encode()
     targets: dict[str, _Target] = {}
     with contextlib.ExitStack() as stack:
         plain = _reply_socket(stack, abstract=False) or _reply_socket(stack, abstract=True)

@@ -22,6 +22,7 @@ from crazyarena.safety.estop_local import (
     ABSTRACT,
     CREDENTIALS,
     HEARD,
+    LANDING,
     LINUX,
     ONLY_PLACE,
     REFUSED,
@@ -45,7 +46,8 @@ _LONGEST = 2048  # bytes of a message
 class SocketSource:
     """Listens for ``crazyarena estop`` from other shells of the same user.
 
-    Whatever arrives is a stop, except ``{"test": true}``, which is a rehearsal. Nothing that
+    Whatever arrives is a stop, except ``{"test": true}``, which is a rehearsal, and ``{"land":
+    true}``, which asks to land. Nothing that
     arrives ends the listener. A socket that was removed or shut off is put back, and people are
     told.
 
@@ -54,6 +56,7 @@ class SocketSource:
     folder: the only place to listen at; by default every one of :func:`places`, and the
         abstract socket.
     say: told of trouble, in words, from the listener's thread.
+    land: brings down what flies, if anything can; given the reason.
 
     Raises
     ------
@@ -65,9 +68,11 @@ class SocketSource:
         stop: StopButton,
         folder: Path | None = None,
         say: Callable[[str], None] = say_loudly,
+        land: Callable[[str], None] | None = None,
     ) -> None:
         self._stop = stop
         self._say = say
+        self._land = land
         self._clock = WallClock()
         self._said: dict[str, float] = {}
         # Not by pid alone: containers that share a folder count theirs from one.
@@ -144,8 +149,16 @@ class SocketSource:
                 self._stop.tested()
             self._answer(listening, sender, TESTED)
             return
-        reason = fields.get("reason")
-        self._stop.trigger("shell", shown_line(reason) if isinstance(reason, str) else "")
+        given = fields.get("reason")
+        reason = shown_line(given) if isinstance(given, str) else ""
+        if fields.get("land") is True:
+            if self._land is None:
+                self._answer(listening, sender, f"{REFUSED}: nothing here can land it")
+            else:
+                self._land(reason)
+                self._answer(listening, sender, LANDING)
+            return
+        self._stop.trigger("shell", reason)
         self._answer(listening, sender, HEARD)
         if sender and len(self._waiting) < _MOST_WAITING:
             if not self._waiting:

@@ -197,16 +197,24 @@ class KeyboardSource:
                 if not ready:
                     continue
                 keys = os.read(self._stream, _KEYS).decode("utf-8", "replace")
+            except (BlockingIOError, InterruptedError):
+                continue  # somebody else has read them, or made the terminal non-blocking
             except (OSError, ValueError) as error:
                 self._say(f"the terminal is gone ({error}): its keys do not stop any more")
                 return
             if not keys:
                 self._say("the terminal is gone: its keys do not stop any more")
                 return
-            if any(key in _STOP_KEYS for key in keys):
-                self._stop.trigger("keyboard", "key pressed")
-            elif self._dead_man is not None and any(key in _HOLD_KEYS for key in keys):
-                self._dead_man.held()
+            try:
+                self._take(keys)
+            except Exception as error:  # the next key must still stop
+                self._say(f"a key did not do what it should ({type(error).__name__}: {error})")
+
+    def _take(self, keys: str) -> None:
+        if any(key in _STOP_KEYS for key in keys):
+            self._stop.trigger("keyboard", "key pressed")
+        elif self._dead_man is not None and any(key in _HOLD_KEYS for key in keys):
+            self._dead_man.held()
 
     def close(self) -> None:
         """Idempotent; the terminal is as before."""
@@ -269,17 +277,22 @@ class GamepadSource:
             try:
                 ready, _, _ = select.select([self._device.fd], [], [], _TICK)
                 events = list(self._device.read()) if ready else []
+            except (BlockingIOError, InterruptedError):
+                continue  # somebody else has read them
             except (OSError, ValueError) as error:
                 if self._dead_man is not None:
                     self._dead_man.released()
                 if not self._closed.is_set():
                     self._say(f"the gamepad is gone ({error}): it does not stop any more")
                 return
-            for event in events:
-                with contextlib.suppress(AttributeError, TypeError):  # an event of another kind
-                    self._take(event)
-            if self._held and self._dead_man is not None:
-                self._dead_man.held()
+            try:
+                for event in events:
+                    with contextlib.suppress(AttributeError, TypeError):  # one of another kind
+                        self._take(event)
+                if self._held and self._dead_man is not None:
+                    self._dead_man.held()
+            except Exception as error:  # the next event must still stop
+                self._say(f"a button did not do what it should ({type(error).__name__}: {error})")
 
     def _take(self, event: Any) -> None:
         is_key = event.type == 1  # EV_KEY

@@ -82,6 +82,8 @@ class CommandGate:
         self.passed = self.changed = self.refused = self.poses_dropped = 0
         self.grounded: Callable[[], str | None] | None = None
         """Why nothing may take off now, in words, or None; asked at every take-off."""
+        self.nudged: Callable[[int, Pose], Pose] = lambda vehicle, pose: pose
+        """What a vehicle is told in place of a pose (safety/nudge.py)."""
         self.runner = GatePort(self, trusted=False)
         self.safety = GatePort(self, trusted=True)
 
@@ -111,7 +113,7 @@ class CommandGate:
         good = {}
         for vehicle, pose in poses.items():
             if self._believable(vehicle, pose):
-                good[vehicle] = pose
+                good[vehicle] = self.nudged(vehicle, pose)
             else:
                 self.poses_dropped += 1
         if good:
@@ -159,8 +161,13 @@ class CommandGate:
             self._vehicles = {vehicle: VehicleMemory(vehicle) for vehicle in self.vehicles}
 
     def take(self, vehicle: int) -> None:
-        """The watchdog has this vehicle; the runner's commands to it are refused."""
-        self._vehicles[vehicle].taken = True
+        """The watchdog has this vehicle; the runner's commands to it are refused, and nothing on
+        board moves the setpoints of the watchdog: a box that ends above the ground keeps a vehicle
+        from landing, and throws it about when it is sent below."""
+        memory = self._vehicles[vehicle]
+        memory.taken = True
+        if memory.avoiding:
+            self._backend.send(c.CollisionAvoidance(False), vehicle)
 
     def flying_since(self, vehicle: int) -> float | None:
         """When the runner first sent something that makes the vehicle fly, s; None before, and

@@ -42,7 +42,8 @@ _TURN_NOISE = 0.012  # rad
 _MODEL = 0.03  # rad, standard deviation of what the model leaves out
 _GAIN = (0.5, 1.7)  # of what is seen to what is felt, that can be a turn
 _MIRROR_MARGIN = 0.25
-_SURE = 3.5  # standard deviations
+_SURE = 3.0  # standard deviations
+KNOWN = 0.05  # rad, standard deviation of an angle that is known well enough
 _VAGUE = 0.2  # rad, standard deviation of an angle that says nothing yet
 
 
@@ -75,9 +76,15 @@ class Turned:
             )
         degrees = math.degrees(self.angle)
         return (
-            f"the body is turned by {degrees:+.0f} deg against the vehicle: turn its axes by "
-            f"{-degrees:+.0f} deg about z in the motion-capture software"
+            f"the body is turned by {degrees:+.0f} deg against the vehicle (to within "
+            f"{2.0 * math.degrees(self.sigma):.0f} deg): turn its axes by {-degrees:+.0f} deg "
+            "about z in the motion-capture software"
         )
+
+    @property
+    def known(self) -> bool:
+        """The angle is known well enough to be named."""
+        return self.sigma <= KNOWN
 
     @property
     def surely(self) -> float:
@@ -148,7 +155,7 @@ class HeadingWatch:
             self._rows = self._rows[-1:]
             self._sums = self._sums.plus(latest, _MEMORY)
             self.now = self._judge(self._sums)
-        elif len(self._rows) % 8 == 0 and len(self._rows) >= _LEAST_SAMPLES:
+        elif len(self._rows) % 4 == 0 and len(self._rows) >= _LEAST_SAMPLES:
             self.now = self._judge(self._sums.plus(_window(self._rows), _MEMORY))
         else:
             self.now = Turned(self.now.angle, self.now.sigma, self.now.mirrored, self._yaw)

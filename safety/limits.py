@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Collection
+from dataclasses import dataclass, field, fields, replace
 
 from crazyarena.errors import InputError
+from crazyarena.safety.flight_model import FlightModel
 
-PID_BRAKING = 3.5
-# m/s2 by value of ``stabilizer.controller``: 0 chooses the PID, 2 is the Mellinger controller.
-# How others brake has not been measured.
-BRAKING = {0: PID_BRAKING, 1: PID_BRAKING, 2: 6.0}
+_SAGGING = 0.15  # V between the warning about a weak battery and its landing
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,10 +19,12 @@ class Limits:
 
     Attributes
     ----------
-    braking: deceleration, m/s2, that the vehicle is trusted with: 6 with the Mellinger
-        controller, ``PID_BRAKING`` with the cascaded PID controller, which limits its speed
-        rather than following a plan.
-    reaction: time, s, until a command to brake has become deceleration: cameras, radio, and
+    vehicle: how the vehicle follows what it is told (safety/flight_model.py); what is marked (v)
+        below is what :meth:`for_vehicle` makes of it.
+    braking: (v) deceleration, m/s2, that the vehicle is trusted with: 6 with the Mellinger
+        controller, 3.5 with the cascaded PID controller, which limits its speed rather than
+        following a plan; less with motors that have less.
+    reaction: (v) time, s, until a command to brake has become deceleration: cameras, radio, and
         the attitude the vehicle has to take first.
     predicted_margin: m beyond the hard fence up to which the predicted end of a stop is let
         pass: the prediction brakes later and more gently than the watchdog does, and a goal close
@@ -38,15 +39,18 @@ class Limits:
     disagreement: m between cameras and the vehicle's own estimate.
     link_warn, link_hold, link_cut: silence of the vehicle, s.
     quality_warn, quality_land: share of acknowledged packets.
-    battery_warn, battery_land: V, under load.
+    battery_warn, battery_land: (v) V, under load; higher for motors that need more to lift it.
     following, following_land: m between the vehicle and what it was told.
     lost_control: the same while the watchdog flies; then motors are cut.
     controller_warn, controller_hold: s since the contestant's last answer; setpoints that stay
         away longer than 0.5 s would make the firmware level out.
     late_warn, late_hold: lateness of a control step, s.
-    turn_warn: rad that a rigid body may be turned against its vehicle (safety/heading.py).
+    turn_warn: rad that a rigid body may be turned against its vehicle (safety/heading.py), for
+        turn_time s.
     turn_cut: the same at which motors are cut: hold and land need the heading.
     yaw_warn, yaw_cut: rad by which cameras and gyroscope may come apart in yaw.
+    nudge: m, by which a vehicle that takes off is moved to and fro, to see how its body is turned
+        (safety/nudge.py); 0 for not at all.
     clock_step: s, between two clocks that should run alike.
     neighbour_warn, neighbour_hold: m between the centres of two vehicles in the air.
     people_distance: m between a vehicle and a person, horizontally, at which motors are cut.
@@ -55,7 +59,7 @@ class Limits:
     land_time: s, within which a landing must be over.
     inside: m, how far inside the fence the watchdog holds and lands.
     return_speed, descent: m/s, of the watchdog's own flight; blind_descent without poses.
-    setpoint_speed, setpoint_acceleration: m/s, m/s2, what the gate lets pass.
+    setpoint_speed, setpoint_acceleration: m/s, m/s2 (v), what the gate lets pass.
     setpoint_step: m, by which one streamed position may differ from the last beyond what speed
         allows; setpoint_lead: m, by which it may be away from the vehicle. Further away, and the
         firmware's position loop tips the vehicle over.
@@ -115,9 +119,11 @@ class Limits:
     late_warn: float = 0.03
     late_hold: float = 0.25
     turn_warn: float = 0.26
+    turn_time: float = 0.3
     turn_cut: float = 0.52
     yaw_warn: float = 0.25
     yaw_cut: float = 0.5
+    nudge: float = 0.04
     clock_step: float = 0.05
     neighbour_warn: float = 0.3
     neighbour_hold: float = 0.2
@@ -145,15 +151,17 @@ class Limits:
     thrust_to_weight: float = 2.0
     attitude_reaction: float = 0.2
     attitude_loss_margin: float = 2.0
+    vehicle: FlightModel = field(default_factory=FlightModel)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for name in LIMIT_NAMES:
+            value = getattr(self, name)
             if isinstance(value, bool):
                 continue
-            endless = field.name.endswith("loss_margin") and value == math.inf
-            if not (endless or (math.isfinite(value) and value > 0.0)):
-                raise InputError(f"safety limit {field.name}: found {value!r}; need a number > 0")
+            endless = name.endswith("loss_margin") and value == math.inf
+            none = name == "nudge" and value == 0.0
+            if not (endless or none or (math.isfinite(value) and value > 0.0)):
+                raise InputError(f"safety limit {name}: found {value!r}; need a number > 0")
         self._ordered("pose_warn", "pose_hold", "pose_land", "pose_cut")
         self._ordered("link_warn", "link_hold", "link_cut")
         self._ordered("controller_warn", "controller_hold")
@@ -167,6 +175,24 @@ class Limits:
         self._ordered("yaw_warn", "yaw_cut")
         self._ordered("setpoint_speed", "max_speed")
 
+    def for_vehicle(self, vehicle: FlightModel, keep: Collection[str] = ()) -> Limits:
+        """These limits for another vehicle; ``keep`` names those that somebody has set."""
+        standard = Limits()
+        braking = self.braking if "braking" in keep else vehicle.braking
+        land = max(standard.battery_land, vehicle.spent)
+        derived = {
+            "braking": braking,
+            # Never below the standard: what is better than that has not been flown.
+            "reaction": max(standard.reaction, self.link_delay + vehicle.response(braking)),
+            "setpoint_acceleration": min(
+                standard.setpoint_acceleration, max(vehicle.strongest, braking)
+            ),
+            "battery_land": land,
+            "battery_warn": max(standard.battery_warn, land + _SAGGING),
+        }
+        own = {name: value for name, value in derived.items() if name not in keep}
+        return replace(self, vehicle=vehicle, **own)  # type: ignore[arg-type]
+
     def _ordered(self, *names: str) -> None:
         values = [getattr(self, name) for name in names]
         if any(a >= b for a, b in itertools.pairwise(values)):
@@ -174,3 +200,7 @@ class Limits:
                 f"safety limits {', '.join(names)}: found {values}; each must be above the one "
                 "before it"
             )
+
+
+LIMIT_NAMES = tuple(f.name for f in fields(Limits) if f.name != "vehicle")
+"""Fields that are thresholds, to be set one by one."""

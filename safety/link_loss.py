@@ -2,33 +2,32 @@
 
 The firmware keeps the last setpoint for half a second, then levels out and coasts, and is cut by
 its emergency-stop watchdog a second after it was last fed (Crazyflie firmware, ``supervisor``).
-Until it levels out it is a damped spring: with the Mellinger controller's gains over its mass,
+Until it levels out it is the damped spring of :mod:`~crazyarena.safety.flight_model`,
 
-    x'' = a + k (p - x) + c (v - x')
+    x'' = b,    tau b' = f a + k (p - x) + c (s v - x') - b
 
-which settles at u = p + (c v + a) / k. Nothing else of the setpoint matters, and where the
-vehicle ends is linear in u.
+which settles at u = p + (s c v + f a) / k. Nothing else of the setpoint matters, and where the
+vehicle ends is linear in u. It coasts as if there were no air: the estimator on board knows none,
+and takes the tilt that makes up for drag for level.
 """
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+from scipy.linalg import expm
+
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.flight_model import GRAVITY, FlightModel
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.observation import Point
 
 _HOLD = 0.5  # s for which the firmware keeps a setpoint
 _CUT = 1.0  # s until its emergency-stop watchdog, no longer fed, stops the motors
-_LEVELLING_TIME = 0.2  # s, of the last push; found in simulation, and rather short
-_GRAVITY = 9.81
-_MASS = 0.029  # kg, as the controller takes it
-# Stiffness k, 1/s2, and damping c, 1/s, of the Mellinger controller, by axis.
-_STIFFNESS = (0.4 / _MASS, 0.4 / _MASS, 1.25 / _MASS)
-_DAMPING = (0.2 / _MASS, 0.2 / _MASS, 0.4 / _MASS)
+_LEVELLING_TIME = 0.08  # s, of the last push; found in simulation, and rather short
 _BISECTIONS = 10
 _PLAN_SAMPLES = 16
 _STRETCH, _STRETCHES = 1.15, 24  # up to 25 times as long
@@ -37,31 +36,23 @@ _ORIGIN = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class _Response:
-    """Place and speed after some time: a multiple of (distance to u, speed) now."""
+    """Place, speed and push after some time, each a multiple of (distance to u, speed) now."""
 
     place_place: float
     place_speed: float
     speed_place: float
     speed_speed: float
+    push_place: float
+    push_speed: float
 
     @classmethod
-    def after(cls, time: float, stiffness: float, damping: float) -> _Response:
-        """Of e'' + c e' + k e = 0."""
-        root = cmath.sqrt(damping * damping / 4.0 - stiffness)
-        decay = math.exp(-0.5 * damping * time)
-        cosh = (cmath.cosh(root * time)).real
-        sinh = (cmath.sinh(root * time) / root).real if abs(root) > 1e-9 else time
-        half = 0.5 * damping
-        return cls(
-            decay * (cosh + half * sinh),
-            decay * sinh,
-            -decay * stiffness * sinh,
-            decay * (cosh - half * sinh),
+    def after(cls, time: float, stiffness: float, damping: float, lag: float) -> _Response:
+        """Of e'' = b, lag b' = -k e - c e' - b, from b = 0."""
+        rates = np.array(
+            [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-stiffness / lag, -damping / lag, -1.0 / lag]]
         )
-
-
-_HALFWAY = [_Response.after(0.5 * _HOLD, k, c) for k, c in zip(_STIFFNESS, _DAMPING, strict=True)]
-_LEVELLING = [_Response.after(_HOLD, k, c) for k, c in zip(_STIFFNESS, _DAMPING, strict=True)]
+        m = expm(rates * time)
+        return cls(*(float(m[row, column]) for row in range(3) for column in range(2)))
 
 
 class LinkLoss:
@@ -71,6 +62,10 @@ class LinkLoss:
         self._fence = fence
         self._margin = limits.link_loss_margin
         self._delay = limits.link_delay
+        model = limits.vehicle
+        self._model = model
+        self._halfway = _responses(model, 0.5 * _HOLD)
+        self._levelling = _responses(model, _HOLD)
 
     @property
     def on(self) -> bool:
@@ -87,18 +82,19 @@ class LinkLoss:
         lift: m, by which it rises over that once the firmware levels it out, which keeps height
             and vertical speed of the setpoint, but not its acceleration.
         """
-        halfway = _moved(place, moving, rest, _HALFWAY)
-        levelling = _moved(place, moving, rest, _LEVELLING)
+        model = self._model
+        rest = (rest[0], rest[1], rest[2] + max(0.0, -model.low))
+        halfway = _moved(place, moving, rest, self._halfway)
+        levelling = _moved(place, moving, rest, self._levelling)
         # Of the tilt that is left something goes on pushing until it is level.
         speed = [
-            v - _LEVELLING_TIME * (k * (x - u) + c * v)
-            for x, u, v, k, c in zip(
-                levelling, rest, _speed(place, moving, rest), _STIFFNESS, _DAMPING, strict=True
-            )
+            (r.speed_place + _LEVELLING_TIME * r.push_place) * (p - u)
+            + (r.speed_speed + _LEVELLING_TIME * r.push_speed) * v
+            for p, u, v, r in zip(place, rest, moving, self._levelling, strict=True)
         ]
         # Level, it keeps its height; cut, it falls.
         height = rest[2] + lift
-        coasting = _CUT - _HOLD + math.sqrt(2.0 * max(height, 0.0) / _GRAVITY)
+        coasting = _CUT - _HOLD + math.sqrt(2.0 * max(height, 0.0) / GRAVITY)
         x, y, _ = levelling
         down = (x + coasting * speed[0], y + coasting * speed[1], height)
         between = (x + 0.5 * coasting * speed[0], y + 0.5 * coasting * speed[1], height)
@@ -109,7 +105,7 @@ class LinkLoss:
         x, y, z = place
         vx, vy, vz = velocity
         height = max(z + _CUT * vz, 0.0)
-        fall = math.sqrt(2.0 * height / _GRAVITY)
+        fall = math.sqrt(2.0 * height / GRAVITY)
         time = _CUT + fall
         return -min(
             self._room((x + 0.5 * time * vx, y + 0.5 * time * vy, height)),
@@ -119,8 +115,8 @@ class LinkLoss:
     def ballistic_excess(self, place: Point, moving: Point) -> float:
         """The same for a vehicle that follows a plan of its own, cut at this point of it."""
         (x, y, z), (vx, vy, vz) = place, moving
-        top = max(z, 0.0) + max(vz, 0.0) ** 2 / (2.0 * _GRAVITY)
-        fall = (vz + math.sqrt(vz * vz + 2.0 * _GRAVITY * max(z, 0.0))) / _GRAVITY
+        top = max(z, 0.0) + max(vz, 0.0) ** 2 / (2.0 * GRAVITY)
+        fall = (vz + math.sqrt(vz * vz + 2.0 * GRAVITY * max(z, 0.0))) / GRAVITY
         return -self._room((x + fall * vx, y + fall * vy, top))
 
     def duration(self, place: Point, moving: Point, goal: Point, duration: float) -> float:
@@ -153,25 +149,44 @@ class LinkLoss:
         )
         return None if share >= 1.0 else _along(place, ahead, share)
 
-    def feedforward(
+    def full_state(
         self, place: Point, moving: Point, position: Point, velocity: Point, acceleration: Point
-    ) -> Point | None:
-        """Velocity that a full-state setpoint may have; None if it is good as it is.
+    ) -> tuple[Point, Point] | None:
+        """Position and velocity that a full-state setpoint may have; None if it is good as it is.
 
-        Position and acceleration stay: of a setpoint only u matters, and its velocity is what
-        can be changed without a step in where the vehicle is to be.
+        Of a setpoint only u matters, and its velocity is what can be changed without a step in
+        where the vehicle is to be; its position only if the controller heeds nothing else.
         """
-        offset = tuple(
-            (c * v + a) / k
-            for v, a, k, c in zip(velocity, acceleration, _STIFFNESS, _DAMPING, strict=True)
-        )
-        rest = _along(position, (offset[0], offset[1], offset[2]), 1.0)
-        allowed = self.position(place, moving, rest, -acceleration[2] / _STIFFNESS[2])
+        model = self._model
+        rest = self.rest(position, velocity, acceleration)
+        lift = -model.feed[2] * acceleration[2] / model.stiffness[2]
+        allowed = self.position(place, moving, rest, lift)
         if allowed is None:
             return None
+        if not model.follows_velocity:
+            return _along(position, _minus(allowed, rest), 1.0), velocity
         x, y, z = (
             v + (allow - u) * k / c
-            for v, u, allow, k, c in zip(velocity, rest, allowed, _STIFFNESS, _DAMPING, strict=True)
+            for v, u, allow, k, c in zip(
+                velocity, rest, allowed, model.stiffness, model.damping, strict=True
+            )
+        )
+        return position, (x, y, z)
+
+    def rest(self, position: Point, velocity: Point, acceleration: Point) -> Point:
+        """m, where a full-state setpoint brings the vehicle to rest: u of the module's text."""
+        model = self._model
+        x, y, z = (
+            p + (c * v * model.follows_velocity + f * a) / k
+            for p, v, a, k, c, f in zip(
+                position,
+                velocity,
+                acceleration,
+                model.stiffness,
+                model.damping,
+                model.feed,
+                strict=True,
+            )
         )
         return x, y, z
 
@@ -218,11 +233,11 @@ def _moved(place: Point, moving: Point, rest: Point, responses: list[_Response])
     return x, y, z
 
 
-def _speed(place: Point, moving: Point, rest: Point) -> list[float]:
-    """m/s, when the firmware begins to level out."""
+def _responses(model: FlightModel, time: float) -> list[_Response]:
+    lags = (model.tilting, model.tilting, model.thrusting)
     return [
-        r.speed_place * (p - u) + r.speed_speed * v
-        for p, u, v, r in zip(place, rest, moving, _LEVELLING, strict=True)
+        _Response.after(time, k, c, lag)
+        for k, c, lag in zip(model.stiffness, model.damping, lags, strict=True)
     ]
 
 

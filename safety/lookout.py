@@ -10,20 +10,20 @@ import threading
 from collections import deque
 from collections.abc import Mapping
 
+from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.commands import Emergency
 from crazyarena.crazyswarm_compat.guard import FlightEnded
 from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.mocap.estimator import FrameResult
-from crazyarena.safety.heading import HeadingWatch, Turned
+from crazyarena.safety.heading import Turned
+from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import CUT_SURELY, WARN_SURELY
-from crazyarena.safety.observation import as_point
-from crazyarena.safety.pairing import Pairing
+from crazyarena.safety.take_off import TakeOffCheck
 from crazyarena.types import Pose, PoseFrame
 
 _FLYING = 1 << 4  # of supervisor.info
-_LIFTED = 0.03  # m above where it stood
 _REPEATS = 15
 
 
@@ -37,18 +37,35 @@ class Lookout:
     """
 
     def __init__(
-        self, backend: Backend, bodies: Mapping[str, int], limits: Limits | None = None
+        self,
+        backend: Backend,
+        bodies: Mapping[str, int],
+        clock: Clock,
+        limits: Limits | None = None,
     ) -> None:
         self._backend = backend
+        self._clock = clock
         self._bodies = dict(bodies)
         self._limits = limits or Limits()
-        self._watches = {name: HeadingWatch() for name in bodies}
-        self._pairings = {name: Pairing() for name in bodies}
+        self._checks = {name: TakeOffCheck(self._limits.nudge) for name in bodies}
+        self._slightly = {name: Lasting() for name in bodies}
+        self._names = {vehicle: name for name, vehicle in bodies.items()}
         self._grounds: dict[str, float] = {}
         self._warned: set[str] = set()
         self._cut: dict[str, int] = {}
         self._told: deque[tuple[str, bool, str]] = deque()
         self._lock = threading.Lock()
+
+    def send_external_poses(self, poses: Mapping[int, Pose]) -> None:
+        """Pass on what the vehicles are told of their places, with a nudge at the take-off."""
+        now = self._clock.now()
+        with self._lock:
+            told = {v: self._nudged(v, pose, now) for v, pose in poses.items()}
+        self._backend.send_external_poses(told)
+
+    def _nudged(self, vehicle: int, pose: Pose, now: float) -> Pose:
+        name = self._names.get(vehicle)
+        return pose if name is None else self._checks[name].nudged(pose, now)
 
     def on_frame(self, frame: PoseFrame, result: FrameResult) -> None:
         """A pose frame has been through the estimator; any thread."""
@@ -58,24 +75,19 @@ class Lookout:
                     self._look(name, pose, frame.timestamp)
 
     def _look(self, name: str, pose: Pose, captured: float) -> None:
-        vehicle, watch, pairing = self._bodies[name], self._watches[name], self._pairings[name]
         if name in self._cut:
             self._stop(name)
             return
-        told = self._backend.telemetry(vehicle)
-        own, height = told.state, float(pose.position[2])
-        if own is None or not (told.supervisor or 0) & _FLYING:
+        told, check = self._backend.telemetry(self._bodies[name]), self._checks[name]
+        height = float(pose.position[2])
+        if told.state is None or not (told.supervisor or 0) & _FLYING:
             self._grounds[name] = height
-            watch.reset()
-            pairing.reset()
+            check.stands()
             return
-        if height >= self._grounds.get(name, height) + _LIFTED:
-            x, y, z, w = pose.quaternion.tolist()
-            pairing.pose(captured, as_point(pose.position), (x, y, z, w))
-        for sample in pairing.told(told):
-            self._judge(name, watch.update(*sample))
+        above = height - self._grounds.setdefault(name, height)
+        self._judge(name, check.flies(captured, pose, above, told), captured)
 
-    def _judge(self, name: str, turned: Turned) -> None:
+    def _judge(self, name: str, turned: Turned, time: float) -> None:
         n, angle, yaw = self._limits, abs(turned.angle), abs(turned.yaw)
         far = angle > n.turn_cut and turned.surely >= CUT_SURELY * n.turn_cut
         if far or yaw > n.yaw_cut:
@@ -83,8 +95,11 @@ class Lookout:
             self._stop(name)
             self._told.append((name, True, turned.remedy))
             return
-        slightly = angle > n.turn_warn and turned.surely >= WARN_SURELY * n.turn_warn
-        if (slightly or yaw > n.yaw_warn) and name not in self._warned:
+        slightly = turned.known and angle > n.turn_warn
+        slightly = slightly and turned.surely >= WARN_SURELY * n.turn_warn
+        held = self._slightly[name].update(slightly, time)
+        told = held is not None and held >= n.turn_time
+        if (told or yaw > n.yaw_warn) and name not in self._warned:
             self._warned.add(name)
             self._told.append((name, False, turned.remedy))
 
@@ -102,6 +117,6 @@ class Lookout:
             warn(f"{name}: {text}")
 
 
-def open_lookout(backend: Backend, bodies: Mapping[str, int]) -> Lookout:
+def open_lookout(backend: Backend, bodies: Mapping[str, int], clock: Clock) -> Lookout:
     """Factory named in the registry of backends."""
-    return Lookout(backend, bodies)
+    return Lookout(backend, bodies, clock)

@@ -187,10 +187,13 @@ def _clock(obs: Observation, fence: Fence, limits: Limits) -> float | None:
 
 
 # Shares of an angle that must be beyond its own uncertainty to be believed.
-WARN_SURELY, CUT_SURELY = 0.4, 0.6
+WARN_SURELY, CUT_SURELY = 0.4, 0.7
 
 
 def _turned(obs: Observation, fence: Fence, limits: Limits) -> float | None:
+    # Nothing is in danger yet: it is told once it can be told how far.
+    if obs.turned is not None and not obs.turned.known:
+        return 0.0
     return _at_least(obs, WARN_SURELY * limits.turn_warn)
 
 
@@ -346,7 +349,13 @@ RULES: tuple[Rule, ...] = (
     ),
     # While the vehicle still stands there is nothing to see, and once it has left the ground there
     # is little time.
-    Rule("body_turned", When.ACTIVE, _turned, (Stage("turn_warn", WARN),), tell=_how_turned),
+    Rule(
+        "body_turned",
+        When.ACTIVE,
+        _turned,
+        (Stage("turn_warn", WARN, "turn_time"),),
+        tell=_how_turned,
+    ),
     Rule("body_turned_far", When.ACTIVE, _turned_far, (Stage("turn_cut", CUT),), tell=_how_turned),
     Rule(
         "yaw_apart",

@@ -17,6 +17,7 @@ from crazyarena.safety.heading import Point, Quaternion
 from crazyarena.types import Telemetry
 
 _APART = 0.12  # s between rates, at most, for what lies between them to be known
+_LAG = 0.005  # s by which rates are old when they are told: the gyroscope's filter, and the way
 _PATIENCE = 0.5  # s that a pose waits
 _POSES = 128
 
@@ -51,6 +52,7 @@ class Pairing:
         if state is None:
             return
         time = telemetry.rates_at if telemetry.rates_at is not None else state.timestamp
+        time -= _LAG
         if self._after is None or time > self._after[0]:
             self._before, self._after = self._after, (time, state.angular_velocity)
         if self._before is None:

@@ -106,14 +106,16 @@ class SafePilot:
         place = obs.flown_from(self._limits.disagreement)
         if place is None or not self._link_loss.on:
             return setpoint
-        slower = self._link_loss.feedforward(
+        slower = self._link_loss.full_state(
             place,
             self._velocity,
             as_point(setpoint.position),
             as_point(setpoint.velocity),
             as_point(setpoint.acceleration),
         )
-        return setpoint if slower is None else replace(setpoint, velocity=slower)
+        if slower is None:
+            return setpoint
+        return replace(setpoint, position=slower[0], velocity=slower[1])
 
     def _begin(self, obs: Observation) -> None:
         self._begun = self._moved = obs.time

@@ -22,12 +22,15 @@ from crazyarena.levels import Level
 from crazyarena.mocap.axes import recognised_axes
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
 from crazyarena.mocap.survey import misplaced
+from crazyarena.plain_text import shown_line
 from crazyarena.safety.axes import explain_axes
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.flight_model import ModelFacts
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import CAN_FLY, CRASHED, LOCKED, TUMBLED
 from crazyarena.safety.placement import allowed, nominal_track
+from crazyarena.safety.tipping import tilt, yaw
 from crazyarena.types import Pose, Telemetry
 
 _LEANS = math.radians(15.0)
@@ -40,7 +43,8 @@ _ELSEWHERE = 0.3
 class Line:
     """One line of the checklist.
 
-    ``found`` says what was measured, ``remedy`` what to do about a red line.
+    ``found`` says what was measured, ``remedy`` what to do about a red line; ``checked`` is False
+    for what cannot be known as it is flown, which ``found`` then says.
     """
 
     name: str
@@ -48,6 +52,7 @@ class Line:
     found: str
     remedy: str = ""
     waived: bool = False
+    checked: bool = True
 
     @property
     def grounds(self) -> bool:
@@ -68,6 +73,8 @@ class Tolerances:
     height: m, of a standing vehicle over the level's start.
     camera_rate: Hz, at least.
     disk: bytes free. timer: s, latest wake-up of a short sleep.
+    hover: m, by which it may hover away from its setpoint. lift: all the motors' thrust over its
+        weight, at least.
     test_age: s, since the emergency stop was last tried. body_age: s, since a vehicle was tipped.
     """
 
@@ -80,6 +87,8 @@ class Tolerances:
     camera_rate: float = Limits().camera_rate
     disk: int = 500_000_000
     timer: float = 0.002
+    hover: float = 0.05
+    lift: float = 1.1
     test_age: float = 3600.0
     body_age: float = 8 * 3600.0
 
@@ -93,9 +102,10 @@ class VehicleFacts:
     own: the vehicle's position estimates of the last seconds, newest last.
     controller: parameter ``stabilizer.controller``.
     tipped: the body that was tipped when this vehicle was, now or lately, see
-        :func:`tipped_body`.
+        :func:`~crazyarena.safety.tipping.tipped_body`.
     turned: rad by which that body's nose lies to the left of the vehicle's, see
-        :func:`nose_between`.
+        :func:`~crazyarena.safety.tipping.nose_between`.
+    model: None if nobody said which vehicle it is.
     """
 
     name: str
@@ -106,6 +116,7 @@ class VehicleFacts:
     controller: int | None = None
     tipped: str | None = None
     turned: float | None = None
+    model: ModelFacts | None = None
 
 
 @dataclass(slots=True)
@@ -192,7 +203,7 @@ def _named(p: Preflight) -> list[Line]:
     ]
 
 
-def _gates(p: Preflight) -> list[Line]:
+def check_gates(p: Preflight) -> list[Line]:
     wanted = p.level.track.gates
     missing = [index for index in range(len(wanted)) if index not in p.gates]
     remedy = "survey the gates, or correct their poses in the level file"
@@ -244,7 +255,7 @@ def check_axes(p: Preflight) -> list[Line]:
 def check_strangers(p: Preflight) -> list[Line]:
     vehicles = [vehicle.body for vehicle in p.vehicles]
     unknown = sorted(set(p.bodies) - set(p.known) - set(vehicles))
-    found = ", ".join(unknown) if unknown else f"{len(p.bodies)} bodies, all known"
+    found = ", ".join(map(shown_line, unknown)) if unknown else f"{len(p.bodies)} bodies, all known"
     return [Line("arena clear", not unknown, found, "take them out of the arena, or name them")]
 
 
@@ -377,7 +388,7 @@ def check_estimate(p: Preflight, v: VehicleFacts) -> list[Line]:
     if v.seen is None or v.seen.freshness is not Freshness.FRESH or state is None:
         return [*lines, Line(names[1], False, "cameras do not see it now", remedy)]
     off = float(np.linalg.norm(state.position - v.seen.state.position))
-    turn = abs(math.remainder(_yaw(state.quaternion) - _yaw(v.seen.state.quaternion), math.tau))
+    turn = abs(math.remainder(yaw(state.quaternion) - yaw(v.seen.state.quaternion), math.tau))
     found = f"{off * 1e3:.0f} mm, {math.degrees(turn):.1f} deg apart"
     return [*lines, Line(names[1], off <= t.position and turn <= t.yaw, found, remedy)]
 
@@ -386,6 +397,26 @@ def check_controller(p: Preflight, v: VehicleFacts) -> list[Line]:
     found = "unknown" if v.controller is None else str(v.controller)
     remedy = f"set stabilizer.controller to {p.controller}"
     return [Line(f"{v.name} controller", v.controller == p.controller, found, remedy)]
+
+
+def check_model(p: Preflight, v: VehicleFacts) -> list[Line]:
+    """Whether a vehicle such as its file says can fly, and at the height it is told."""
+    if v.model is None:
+        return []
+    flies, t = v.model.flies, p.tolerances
+    where = "below" if flies.low > 0.0 else "above"
+    found = (
+        f"{v.model.name}: lifts {flies.lift:.2f} times its weight, hovers "
+        f"{100.0 * abs(flies.low):.0f} cm {where} its setpoint"
+    )
+    remedy = (
+        f"set ctrlMel.mass to {v.model.mass:.4f} or ctrlMel.massThrust to "
+        f"{v.model.mass_thrust:.0f}, in firmware.params of the vehicle's file"
+    )
+    if flies.lift < t.lift:
+        remedy = "make it lighter, or change motors, propellers or battery"
+    good = flies.lift >= t.lift and abs(flies.low) <= t.hover
+    return [Line(f"{v.name} model", good, found, remedy)]
 
 
 def check_body(p: Preflight, v: VehicleFacts) -> list[Line]:
@@ -435,7 +466,7 @@ def check_start(p: Preflight, v: VehicleFacts) -> list[Line]:
 MACHINE_CHECKS: tuple[Callable[[Preflight], list[Line]], ...] = (
     _named,
     _fence,
-    _gates,
+    check_gates,
     check_axes,
     check_strangers,
     check_cameras,
@@ -451,47 +482,8 @@ VEHICLE_CHECKS: tuple[Callable[[Preflight, VehicleFacts], list[Line]], ...] = (
     check_battery,
     check_estimate,
     check_controller,
+    check_model,
     check_body,
     check_heading,
     check_start,
 )
-
-
-def tipped_body(bodies: Mapping[str, Pose], own: np.ndarray, least: float = 0.2) -> str | None:
-    """The one body that is tipped as a vehicle feels it is, while it is tipped by hand.
-
-    ``own`` is the vehicle's own attitude (x, y, z, w); None until it is tipped by ``least`` rad,
-    and when no body, or more than one, has that tilt within half of ``least``.
-    """
-    felt = tilt(own)
-    if felt < least:
-        return None
-    alike = [k for k, pose in bodies.items() if abs(tilt(pose.quaternion) - felt) < 0.5 * least]
-    return alike[0] if len(alike) == 1 else None
-
-
-def nose_between(own: np.ndarray, body: np.ndarray) -> float:
-    """rad by which a body's nose lies to the left of its vehicle's, both tipped alike.
-
-    ``own`` and ``body`` are attitudes (x, y, z, w) of the vehicle, by its own sensors, and of the
-    body, by the cameras. Both know where up is, each in its own axes; nothing is asked of the
-    yaw of either. Only as good as the tilt: an error of attitude counts by 1 / sin(tilt).
-    """
-    return math.remainder(_leaning(own) - _leaning(body), math.tau)
-
-
-def _leaning(q: np.ndarray) -> float:
-    """Direction of the world's up across the body's own axes, rad."""
-    x, y, z, w = q.tolist()
-    return math.atan2(2.0 * (y * z + w * x), 2.0 * (x * z - w * y))
-
-
-def tilt(q: np.ndarray) -> float:
-    """Angle, rad, between a body's own up and the world's; quaternion x, y, z, w."""
-    x, y, _, _ = q.tolist()
-    return math.acos(min(max(1.0 - 2.0 * (x * x + y * y), -1.0), 1.0))
-
-
-def _yaw(q: np.ndarray) -> float:
-    x, y, z, w = q.tolist()
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

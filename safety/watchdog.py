@@ -10,7 +10,6 @@ that hangs or dies stops the vehicles.
 from __future__ import annotations
 
 import math
-import os
 import sys
 import threading
 from collections import deque
@@ -28,21 +27,21 @@ from crazyarena.safety.fence import Fence
 from crazyarena.safety.frame_rate import FrameRate
 from crazyarena.safety.gate import CommandGate
 from crazyarena.safety.guard import Guard
-from crazyarena.safety.heading import HeadingWatch
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import Finding
 from crazyarena.safety.neighbours import nearest
 from crazyarena.safety.observation import Observation, Point, as_point
 from crazyarena.safety.old_poses import repeats
-from crazyarena.safety.pairing import Pairing
+from crazyarena.safety.own_estimate import not_watched
+from crazyarena.safety.priority import raise_priority
+from crazyarena.safety.take_off import TakeOffCheck
 from crazyarena.types import Pose, PoseFrame, Telemetry
 
 _TICK = 0.005  # s, without a frame
 _FEED_PERIOD = 0.1  # s
 _TELEMETRY_GOOD = 0.3  # s, for the vehicle's own estimate
 _OFF_GROUND = 0.08  # m
-_LIFTED = 0.02  # m
 _DOWN_TIME = 1.0  # s, low and still, until a vehicle counts as standing
 _SWITCH_INTERVAL = 0.0005  # s, for which another Python thread may keep this one waiting
 
@@ -57,6 +56,7 @@ class _Watched:
     body: str
     guard: Guard
     ground: float
+    heading: TakeOffCheck
     airborne: bool = False
     still: Lasting = field(default_factory=Lasting)
     low: bool = False
@@ -70,8 +70,6 @@ class _Watched:
     last_pose: Pose | None = None
     changed: float = math.inf
     latest: Observation | None = None
-    heading: HeadingWatch = field(default_factory=HeadingWatch)
-    pairing: Pairing = field(default_factory=Pairing)
 
     def changes(self, pose: Pose, captured: float) -> None:
         """Note a measured pose; ``changed`` is when it last was another than the one before.
@@ -106,6 +104,8 @@ class Watchdog:
     props: the same for gates, obstacles and whatever else may be seen.
     grounds: m, height of the standing vehicle's centre by id; 0.03 by default.
     flies: False to watch only, without ever taking over.
+    independent: False if the poses are what the vehicles estimate of themselves: then nothing can
+        contradict them, which an event per vehicle says in the beginning.
     on_event: called with every event, in the thread that runs the step.
     """
 
@@ -125,6 +125,7 @@ class Watchdog:
         props: Iterable[str] = ("gate", "obstacle"),
         grounds: Mapping[int, float] | None = None,
         flies: bool = True,
+        independent: bool = True,
         on_event: Callable[[SafetyEvent], None] | None = None,
     ) -> None:
         unknown = set(bodies.values()) - set(gate.vehicles)
@@ -145,11 +146,13 @@ class Watchdog:
         self._props = tuple(props)
         self._on_event = on_event
         self._flies = flies
+        self._independent = independent
         self._bodies = dict(bodies)
         self._grounds = {v: (grounds or {}).get(v, 0.03) for v in bodies.values()}
         self._lock = threading.Lock()
         self.renew()
         gate.grounded = self._grounded
+        gate.nudged = self._nudged
         self._wake = threading.Condition(threading.Lock())
         self._pending = False
         self._closed = False
@@ -168,6 +171,7 @@ class Watchdog:
                     body,
                     Guard(self._fence, self.limits, vehicle, self._grounds[vehicle], self._flies),
                     self._grounds[vehicle],
+                    TakeOffCheck(self.limits.nudge),
                 )
                 for body, vehicle in self._bodies.items()
             }
@@ -178,6 +182,7 @@ class Watchdog:
             self._strangers = 0
             self._lateness: float | None = None
             self._last_step: float | None = None
+            self._limits_told = False
 
     # Told from outside
 
@@ -192,11 +197,15 @@ class Watchdog:
             for name, pose in frame.bodies.items():
                 watched = self._watched.get(name)
                 if watched is not None:
-                    watched.changes(pose, frame.timestamp)
+                    if self._independent:
+                        watched.changes(pose, frame.timestamp)
+                    else:  # digital, so that it may well repeat to the bit
+                        watched.changed = frame.timestamp
                     if name in result.accepted:
                         watched.accepted_once = True
                         watched.doubted_since = None
-                        believed.append((watched, pose))
+                        if self._independent:
+                            believed.append((watched, pose))
                     elif watched.accepted_once and watched.doubted_since is None:
                         watched.doubted_since = frame.received
                 elif name.startswith(self._people):
@@ -220,15 +229,16 @@ class Watchdog:
         """What a believed pose and the gyroscope say of each other, while the vehicle flies."""
         told = self._gate.telemetry(watched.vehicle)
         if self._gate.flying_since(watched.vehicle) is None or told.state is None:
-            watched.heading.reset()
-            watched.pairing.reset()
-            return
-        # On the ground a vehicle is pushed by what it stands on.
-        if pose.position[2] > watched.ground + _LIFTED:
-            x, y, z, w = pose.quaternion.tolist()
-            watched.pairing.pose(captured, as_point(pose.position), (x, y, z, w))
-        for sample in watched.pairing.told(told):
-            watched.heading.update(*sample)
+            watched.heading.stands()
+        else:
+            watched.heading.flies(captured, pose, pose.position[2] - watched.ground, told)
+
+    def _nudged(self, vehicle: int, pose: Pose) -> Pose:
+        watched = self._by_vehicle.get(vehicle)
+        if watched is None or not self._independent:
+            return pose
+        allowed = not watched.guard.action.takes_over
+        return watched.heading.nudged(pose, self._clock.now(), allowed)
 
     def _grounded(self) -> str | None:
         """What keeps vehicles from taking off, in words."""
@@ -291,6 +301,10 @@ class Watchdog:
         gap = 0.0 if self._last_step is None else now - self._last_step
         self._last_step = now
         stopped = self._estop.stopped if self._estop is not None else None
+        if not self._independent and not self._limits_told:
+            self._limits_told = True
+            for watched in self._watched.values():
+                self._tell(not_watched(now, watched.vehicle))
         for watched in self._watched.values():
             try:
                 self._look(watched, now, gap, stopped is not None)
@@ -357,7 +371,7 @@ class Watchdog:
             if watched.doubted_since is not None:
                 obs.doubted = max(now - watched.doubted_since, 1e-6)
             obs.swapped = watched.swapped
-            obs.turned = watched.heading.now
+            obs.turned = watched.heading.turned if self._independent else None
             watched.swapped = False
             obs.clock_error = self._cameras.error
             obs.camera_rate = self._frames.rate
@@ -366,6 +380,8 @@ class Watchdog:
         believed = estimate.freshness in (Freshness.FRESH, Freshness.BRIDGED)
         believed = believed and obs.pose_age <= self.limits.pose_hold
         self._locate(obs, estimate if believed else None, telemetry, now)
+        if not self._independent:
+            obs.onboard = None
         if telemetry.timestamp > -math.inf and (
             telemetry.battery is not None or telemetry.supervisor is not None
         ):
@@ -475,21 +491,6 @@ class Watchdog:
             self._wake.notify()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(timeout=1.0)
-
-
-def raise_priority() -> str:
-    """Move the calling thread in front of ordinary ones; returns what the system granted."""
-    thread = threading.get_native_id()
-    try:
-        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(50))
-        return "real-time"
-    except (OSError, AttributeError):
-        pass
-    try:
-        os.setpriority(os.PRIO_PROCESS, thread, -15)
-        return "raised"
-    except (OSError, AttributeError):
-        return "normal"
 
 
 def _largest(*values: float | None) -> float | None:

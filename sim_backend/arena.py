@@ -28,6 +28,9 @@ from crazyarena.sim_backend.arena_kernel import (
     QUEUE_LENGTH,
     V_SIZE,
     X_SIZE,
+    Block,
+    Encounters,
+    Fleet,
     advance_fleet,
     advance_near,
     enqueue,
@@ -41,6 +44,7 @@ from crazyarena.sim_backend.arena_params import (
     param_value,
 )
 from crazyarena.sim_backend.arena_rows import VehicleRows
+from crazyarena.sim_backend.decks import DeckRack
 from crazyarena.sim_backend.firmware import collision_avoidance, high_level, stack_2026
 from crazyarena.sim_backend.firmware import commander as setpoints
 from crazyarena.sim_backend.firmware import layout as la
@@ -111,6 +115,7 @@ class ArenaFleet:
     ----------
     contacts: list of :class:`~crazyarena.types.VehicleContact`, the contacts between vehicles
         so far, each at its beginning; touching again within 0.1 s is the same contact.
+    decks: positioning decks on the vehicles, none at first.
     """
 
     def __init__(
@@ -154,8 +159,6 @@ class ArenaFleet:
         self._peer_tables = np.zeros(
             (n, collision_avoidance.MAX_PEERS, collision_avoidance.PEER_SIZE)
         )
-        self._peers = np.zeros((n, collision_avoidance.MAX_PEERS, 3))
-        self._faces = np.array([collision_avoidance.new_scratch() for _ in range(n)])
         self._queues = np.zeros((n, QUEUE_LENGTH + 1, QUEUE_COLUMNS))
         self._work = np.array([geometry.make_workspace() for _ in range(n)])
         self._no_noise = np.zeros((n, 0, NOISE_COLUMNS))
@@ -165,12 +168,32 @@ class ArenaFleet:
         self._hears = np.ones((n, n), dtype=np.uint8)
         self.contacts: list[VehicleContact] = []
         self._wakes = downwash
+        self.decks = DeckRack()
         self._near = np.zeros(n, dtype=np.uint8)
         self._members = np.zeros(n, dtype=np.int64)
-        self._touched = np.full((n, n), -CONTACT_PAUSE - 1, dtype=np.int64)
         self._meetings = np.zeros((n * (n - 1) // 2, V_SIZE))
-        self._scratch = np.zeros((n, X_SIZE))
-        self._pair_work = geometry.make_workspace()
+        self._encounters = tuple(
+            Encounters(
+                touched=np.full((n, n), -CONTACT_PAUSE - 1, dtype=np.int64),
+                meetings=self._meetings,
+                scratch=np.zeros((n, X_SIZE)),
+                work=geometry.make_workspace(),
+            )
+        )
+        self._rows = tuple(
+            Fleet(
+                bodies=self.bodies,
+                plants=self.plants,
+                memories=self.memory,
+                params=self.params,
+                trajectories=self.trajectories,
+                peer_tables=self._peer_tables,
+                peers=np.zeros((n, collision_avoidance.MAX_PEERS, 3)),
+                faces=np.array([collision_avoidance.new_scratch() for _ in range(n)]),
+                queues=self._queues,
+                works=self._work,
+            )
+        )
         self.set_scene(np.zeros((0, ROW_SIZE)) if scene is None else scene)
         for i in range(n):
             self.place(i, places[i], float(headings[i]))
@@ -235,55 +258,52 @@ class ArenaFleet:
 
         ``traces`` (n, >= ticks, TRACE_SIZE) is filled with one row per vehicle and tick.
         """
+        done = 0
+        while done < ticks:
+            for vehicle, deck in self.decks.due(self.tick):
+                velocity = self.bodies[vehicle, cs.B_VEL : cs.B_VEL + 3]
+                self._enqueue(vehicle, *deck.sense(self.true_pose(vehicle), velocity), 0.0)
+            span = self.decks.span(self.tick, ticks - done)
+            self._advance(span, None if traces is None else traces[:, done:])
+            done += span
+
+    def _advance(self, ticks: int, traces: Array | None) -> None:
         n = len(self)
         noise = self._no_noise
         if self._rng is not None and self._noise != SensorNoise():
             scale = np.repeat((self._noise.gyro, self._noise.accelerometer, self._noise.force), 3)
             noise = self._rng.standard_normal((n, ticks, NOISE_COLUMNS)) * scale
-        world = (
-            self.bodies,
-            self.plants,
-            self.memory,
-            self.params,
-            self.trajectories,
-            self._peer_tables,
-            self._peers,
-            self._faces,
-            self._queues,
-            self._scene,
-            self._ground,
-            self._work,
-            noise,
-            self.time,
-        )
         rows = self._no_trace if traces is None else traces
         # Nobody is near a single vehicle, however long the call.
         longest = _BLOCK if n > 1 else ticks
         for begin in range(0, ticks, max(longest, 1)):
-            self._advance_block(world, begin, min(begin + longest, ticks), rows)
+            self._advance_block(
+                tuple(Block(begin, min(begin + longest, ticks), self.tick, noise, rows))
+            )
         self.tick += ticks
         self.power.note(self.tick, self.bodies[:, AB_VOLTS])
 
-    def _advance_block(self, world: tuple[Any, ...], begin: int, end: int, traces: Array) -> None:
+    def _advance_block(self, block: tuple[Any, ...]) -> None:
         n = len(self)
         count = 0
         if n > 1:
+            begin, end, *_ = block
             span = (end - begin + 1) * DT
             count = neighbours.find_near(self.bodies, span, self._wakes, self._near, self._members)
-        alone = (*world, begin, end, traces, self._near)
+        world: tuple[Any, ...] = (self._rows, block, self._scene, self._ground)
         pending: list[Future[None]] = []
         if count == n:
             pass
         elif self._pool is None:
-            advance_fleet(0, n, *alone)
+            advance_fleet(0, n, self._near, *world)
         else:
             edges = [n * k // self._threads for k in range(self._threads + 1)]
-            pending = [self._pool.submit(advance_fleet, *span, *alone) for span in pairwise(edges)]
+            pending = [
+                self._pool.submit(advance_fleet, first, last, self._near, *world)
+                for first, last in pairwise(edges)
+            ]
         if count:
-            met = advance_near(
-                self._members, count, *world, begin, end, traces, self.tick, self._wakes,
-                self._touched, self._meetings, self._scratch, self._pair_work,
-            )  # fmt: skip
+            met = advance_near(self._members, count, self._wakes, *world, self._encounters)
             for tick, first, second, speed in self._meetings[:met].tolist():
                 ids = self.ids[int(first)], self.ids[int(second)]
                 self.contacts.append(VehicleContact(tick * DT, ids[0], ids[1], max(speed, 0.0)))
@@ -399,6 +419,8 @@ class ArenaFleet:
 
     def get_param(self, vehicle: int, name: str) -> float:
         """Value of ``group.name``; raises BackendError if the vehicle has no such parameter."""
+        if (fitted := self.decks.fitted(vehicle, name)) is not None:
+            return fitted
         index = param_index(name, self.ids[vehicle])
         return param_value(index, float(self.params[vehicle, index]))
 
@@ -419,11 +441,14 @@ class ArenaFleet:
         """Battery, supervisor and estimate; the radio's share of it is the link's business."""
         rows = self.rows(vehicle)
         state = rows.state
+        position_std, velocity_std = rows.stds
         return Telemetry(
             timestamp=self.time,
             battery=float(rows.body[AB_VOLTS]),
             supervisor=int(rows.supervisor[sv.SV_INFO]),
             power_state=self.power.state(vehicle, self.tick),
+            position_std=position_std,
+            velocity_std=velocity_std,
             state=VehicleState(
                 timestamp=self.time,
                 position=state[la.ST_POS : la.ST_POS + 3].copy(),

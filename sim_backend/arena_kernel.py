@@ -8,6 +8,9 @@ that might touch each other take every tick together, the others any number of t
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.collision_avoidance import note_peer
@@ -77,8 +80,8 @@ DT = 1e-3  # s
 # Queue of external poses on their way to a vehicle: a header row, then a ring of entries.
 Q_HEAD, Q_COUNT = 0, 1  # header
 Q_ARRIVAL = 0  # firmware tick of arrival
-Q_KIND = 1  # MEAS_POSE or MEAS_POSITION
-Q_POSE = 2  # position 3, quaternion x, y, z, w
+Q_KIND = 1  # MEAS_POSE, MEAS_POSITION or MEAS_FLOW
+Q_POSE = 2  # position 3, quaternion x, y, z, w; or as kalman_measure says
 QUEUE_COLUMNS = 9
 QUEUE_LENGTH = 20  # as on the vehicle; what does not fit is lost
 
@@ -102,6 +105,75 @@ X_MOVED = 5
 X_SIZE = 6
 
 _DEG = 180.0 / math.pi
+
+# What belongs together is handed over together, as a plain tuple in the order of one of these:
+# Numba reads the type of a named tuple anew at every call, which costs more than a tick. Inside,
+# the kernels name it again.
+
+
+class Fleet(NamedTuple):
+    """Rows of all vehicles; the first axis is the vehicle.
+
+    bodies, plants: rows of :mod:`.physics.arena_plant`.
+    memories, params, trajectories, peer_tables, peers, faces: see :mod:`.firmware.stack_2026`.
+    queues: (n, QUEUE_LENGTH + 1, QUEUE_COLUMNS), filled by :func:`enqueue`.
+    works: workspaces of :mod:`.physics.geometry`.
+    """
+
+    bodies: np.ndarray
+    plants: np.ndarray
+    memories: np.ndarray
+    params: np.ndarray
+    trajectories: np.ndarray
+    peer_tables: np.ndarray
+    peers: np.ndarray
+    faces: np.ndarray
+    queues: np.ndarray
+    works: np.ndarray
+
+
+class Vehicle(NamedTuple):
+    """What sensors and firmware of one vehicle of a :class:`Fleet` work on."""
+
+    body: np.ndarray
+    memory: np.ndarray
+    params: np.ndarray
+    trajectory: np.ndarray
+    peer_table: np.ndarray
+    peers: np.ndarray
+    face: np.ndarray
+    queue: np.ndarray
+
+
+class Block(NamedTuple):
+    """Milliseconds ``begin..end-1`` after a moment of the fleet.
+
+    tick: the fleet's, at millisecond 0.
+    noises: (n, >= end, NOISE_COLUMNS), or (n, 0, NOISE_COLUMNS) for none.
+    traces: (n, >= end, TRACE_SIZE), written; (n, 0, TRACE_SIZE) writes nothing.
+    """
+
+    begin: int
+    end: int
+    tick: int
+    noises: np.ndarray
+    traces: np.ndarray
+
+
+class Encounters(NamedTuple):
+    """What is kept of vehicles that might touch each other.
+
+    touched: (n, n), above the diagonal the tick of each pair's latest contact; kept up.
+    meetings: (>= n (n - 1) / 2, V_SIZE), receives the contacts that begin. A block must not be
+        longer than CONTACT_PAUSE, so that no pair can need two rows.
+    scratch: (n, X_SIZE).
+    work: workspace of no vehicle.
+    """
+
+    touched: np.ndarray
+    meetings: np.ndarray
+    scratch: np.ndarray
+    work: np.ndarray
 
 
 @kernel
@@ -140,7 +212,7 @@ def show_truth(bodies, memories, queues, peer_tables, avoiding, heard, ids):
 
     Parameters
     ----------
-    bodies, memories, queues, peer_tables: as in :func:`advance_fleet`.
+    bodies, memories, queues, peer_tables: of a :class:`Fleet`.
     avoiding: (n,) nonzero where a vehicle avoids collisions.
     heard: (n, n) nonzero where the vehicle of a row listens to that of a column.
     ids: (n,).
@@ -202,9 +274,24 @@ def _trace(row, time, body, memory):
 
 
 @kernel
-def _think(memory, param, trajectory, peer_table, peer, face, queue, body, noise, k, fx, fy, fz):
-    """Sensors and firmware of one tick; the disturbance force (N, world) of its noise, added
-    to (fx, fy, fz)."""
+def _vehicle(fleet, v):
+    return Vehicle(
+        fleet.bodies[v],
+        fleet.memories[v],
+        fleet.params[v],
+        fleet.trajectories[v],
+        fleet.peer_tables[v],
+        fleet.peers[v],
+        fleet.faces[v],
+        fleet.queues[v],
+    )
+
+
+@kernel
+def _think(own, noise, k, fx, fy, fz):
+    """Sensors and firmware of a :class:`Vehicle` in one tick; the disturbance force (N, world) of
+    its noise, added to (fx, fy, fz)."""
+    body, memory, param, queue = own.body, own.memory, own.params, own.queue
     gx, gy, gz = body[B_OMEGA] * _DEG, body[B_OMEGA + 1] * _DEG, body[B_OMEGA + 2] * _DEG
     ax = body[AB_ACCELERATION] / GRAVITY
     ay = body[AB_ACCELERATION + 1] / GRAVITY
@@ -224,64 +311,38 @@ def _think(memory, param, trajectory, peer_table, peer, face, queue, body, noise
     while kind != MEAS_NONE:
         measure(memory, param, kind)
         kind = _arrived(queue, memory[F_TICK], memory)
-    finish_tick(memory, param, trajectory, peer_table, peer, face, body[AB_VOLTS])
+    finish_tick(memory, param, own.trajectory, own.peer_table, own.peers, own.face, body[AB_VOLTS])
     return fx, fy, fz
 
 
 @kernel
-def advance_fleet(
-    first,
-    last,
-    bodies,
-    plants,
-    memories,
-    params,
-    trajectories,
-    peer_tables,
-    peers,
-    faces,
-    queues,
-    scene,
-    ground,
-    works,
-    noises,
-    time,
-    begin,
-    end,
-    traces,
-    near,
-):
-    """Run milliseconds ``begin..end-1`` of those vehicles ``first..last-1`` that are not near.
+def advance_fleet(first, last, near, fleet, block, scene, ground):
+    """Run a block of those vehicles ``first..last-1`` that are not near.
 
-    The first axis of every array but ``scene`` is the vehicle. Vehicles do not touch each
-    other's rows, so ranges may run in parallel (the interpreter lock is released).
+    Vehicles do not touch each other's rows, so ranges may run in parallel (the interpreter lock
+    is released).
 
     Parameters
     ----------
-    bodies, plants: rows of :mod:`.physics.arena_plant`.
-    memories, params, trajectories, peer_tables, peers, faces: see :mod:`.firmware.stack_2026`.
-    queues: (n, QUEUE_LENGTH + 1, QUEUE_COLUMNS), filled by :func:`enqueue`.
-    scene, ground, works: see :mod:`.physics.geometry`.
-    noises: (n, >= end, NOISE_COLUMNS), or (n, 0, NOISE_COLUMNS) for none.
-    time: s, at millisecond 0, for the trace.
-    traces: (n, >= end, TRACE_SIZE), written; (n, 0, TRACE_SIZE) writes nothing.
     near: (n,) of :func:`.physics.fleet.find_near`: 1 for what :func:`advance_near` moves.
+    fleet, block: plain tuples in the order of :class:`Fleet` and :class:`Block`.
+    scene, ground: see :mod:`.physics.geometry`.
     """
+    rows, span = Fleet(*fleet), Block(*block)
+    time = span.tick * DT
     for v in range(first, last):
         if near[v]:
             continue
-        body, plant, memory, param = bodies[v], plants[v], memories[v], params[v]
-        queue, noise, trace = queues[v], noises[v], traces[v]
-        for k in range(begin, end):
-            fx, fy, fz = _think(
-                memory, param, trajectories[v], peer_tables[v], peers[v], faces[v], queue, body,
-                noise, k, 0.0, 0.0, 0.0,
-            )  # fmt: skip
+        own = _vehicle(rows, v)
+        body, plant, memory = own.body, rows.plants[v], own.memory
+        noise, trace = span.noises[v], span.traces[v]
+        for k in range(span.begin, span.end):
+            fx, fy, fz = _think(own, noise, k, 0.0, 0.0, 0.0)
             motors = memory[F_MOTORS:F_SUPPLY]
             if not is_asleep(body, motors, fx, fy, fz):
                 vx, vy, vz = body[B_VEL], body[B_VEL + 1], body[B_VEL + 2]
                 arena_step(body, plant, motors, fx, fy, fz, DT)
-                note_contact(body, resolve(body, plant, scene, ground, DT, works[v]))
+                note_contact(body, resolve(body, plant, scene, ground, DT, rows.works[v]))
                 note_acceleration(body, vx, vy, vz, DT)
             if k < trace.shape[0]:
                 _trace(trace[k], time + (k + 1.0) * DT, body, memory)
@@ -326,61 +387,33 @@ def _meet(bodies, plants, members, count, tick, touched, meetings, work):
 
 
 @kernel
-def advance_near(
-    members,
-    count,
-    bodies,
-    plants,
-    memories,
-    params,
-    trajectories,
-    peer_tables,
-    peers,
-    faces,
-    queues,
-    scene,
-    ground,
-    works,
-    noises,
-    time,
-    begin,
-    end,
-    traces,
-    tick,
-    wakes,
-    touched,
-    meetings,
-    scratch,
-    work,
-):
-    """Run milliseconds ``begin..end-1`` of the first ``count`` members in lock step.
+def advance_near(members, count, wakes, fleet, block, scene, ground, encounters):
+    """Run a block of the first ``count`` members in lock step.
 
-    Parameters as for :func:`advance_fleet`, and
-
+    Parameters
+    ----------
     members: indices of :func:`.physics.fleet.find_near`.
-    tick: the fleet's, at millisecond 0.
     wakes: True for downwash between the vehicles.
-    touched: (n, n), above the diagonal the tick of each pair's latest contact; kept up.
-    meetings: (>= n (n - 1) / 2, V_SIZE), receives the contacts that begin. ``end - begin`` must
-        not exceed CONTACT_PAUSE, so that no pair can need two rows.
-    scratch: (n, X_SIZE).
-    work: workspace of no vehicle.
+    fleet, block, encounters: plain tuples in the order of :class:`Fleet`, :class:`Block` and
+        :class:`Encounters`.
+    scene, ground: see :mod:`.physics.geometry`.
 
     Returns
     -------
     Number of rows in ``meetings``.
     """
+    rows, span, seen = Fleet(*fleet), Block(*block), Encounters(*encounters)
+    bodies, plants, memories, traces = rows.bodies, rows.plants, rows.memories, span.traces
+    meetings, scratch = seen.meetings, seen.scratch
+    time = span.tick * DT
     met = 0
-    for k in range(begin, end):
+    for k in range(span.begin, span.end):
         if wakes:
             _wash(bodies, plants, members, count, scratch)
         for a in range(count):
             v = members[a]
             body, memory, note = bodies[v], memories[v], scratch[v]
-            fx, fy, fz = _think(
-                memory, params[v], trajectories[v], peer_tables[v], peers[v], faces[v],
-                queues[v], body, noises[v], k, 0.0, 0.0, note[X_WASH],
-            )  # fmt: skip
+            fx, fy, fz = _think(_vehicle(rows, v), span.noises[v], k, 0.0, 0.0, note[X_WASH])
             for i in range(3):
                 note[X_VEL + i] = body[B_VEL + i]
             motors = memory[F_MOTORS:F_SUPPLY]
@@ -388,8 +421,9 @@ def advance_near(
             if not is_asleep(body, motors, fx, fy, fz):
                 note[X_MOVED] = 1.0
                 arena_step(body, plants[v], motors, fx, fy, fz, DT)
-                note_contact(body, resolve(body, plants[v], scene, ground, DT, works[v]))
-        met += _meet(bodies, plants, members, count, tick + k + 1, touched, meetings[met:], work)
+                note_contact(body, resolve(body, plants[v], scene, ground, DT, rows.works[v]))
+        tick = span.tick + k + 1
+        met += _meet(bodies, plants, members, count, tick, seen.touched, meetings[met:], seen.work)
         for a in range(count):
             v = members[a]
             body, note = bodies[v], scratch[v]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crazyarena.sim_backend.firmware import stack_2026
+from crazyarena.sim_backend.firmware.kalman import KM_P
 
 Array = NDArray[np.float64]
 
@@ -57,6 +59,13 @@ class VehicleRows:
     @property
     def kalman(self) -> Array:
         return self.memory[stack_2026.F_KALMAN : stack_2026.F_HIGH_LEVEL]
+
+    @property
+    def stds(self) -> tuple[float, float]:
+        """Standard deviations that the filter gives position (m) and velocity (m/s), each on its
+        worst axis."""
+        x, y, z, vx, vy, vz = self.kalman[KM_P : KM_P + 60 : 10].tolist()
+        return math.sqrt(max(x, y, z)), math.sqrt(max(vx, vy, vz))
 
     @property
     def high_level(self) -> Array:

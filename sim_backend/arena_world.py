@@ -21,14 +21,18 @@ from numpy.typing import NDArray
 from crazyarena.clock import VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.checks import check
+from crazyarena.crazyswarm_compat.positioning import positioning
 from crazyarena.errors import CommandError, InputError
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import GateMotion, Level
 from crazyarena.levels.schema import Vehicle as NominalVehicle
 from crazyarena.mocap.camera_model import CameraModel
+from crazyarena.mocap.onboard import Certainty
 from crazyarena.mocap.sim_source import SimSource
 from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
 from crazyarena.sim_backend.arena_kernel import DT
+from crazyarena.sim_backend.crtp.setpoints import compress_quaternion, decompress_quaternion
+from crazyarena.sim_backend.decks import make_deck
 from crazyarena.sim_backend.physics.competition_step import PLANT_SIZE
 from crazyarena.sim_backend.physics.scene import build_scene, fill_scene
 from crazyarena.sim_backend.vehicles import (
@@ -37,7 +41,7 @@ from crazyarena.sim_backend.vehicles import (
     load_vehicle,
     vehicle_rows,
 )
-from crazyarena.types import Pose, Telemetry
+from crazyarena.types import Pose, Telemetry, VehicleState
 
 Array = NDArray[np.float64]
 
@@ -46,6 +50,7 @@ _STREAMED = (
     c.RollPitchYawThrust,
 )  # fmt: skip
 _RETRY = 0.01  # s, until a lost request is sent again
+ESTIMATE_RATE = 100.0  # Hz, of a vehicle's own estimate by log data
 _SWITCHED_ON = 0.04  # s, period of the firmware's slowest part, the supervisor
 
 
@@ -251,6 +256,25 @@ def sensor_noise(rows: Rows) -> SensorNoise:
     return SensorNoise(gyro=gyro, accelerometer=accelerometer)
 
 
+def estimates_by_log(link: LinkModel) -> CameraModel:
+    """What becomes of log data on a link, as if a camera system had sent them."""
+    return CameraModel(
+        rate=ESTIMATE_RATE,
+        latency=link.latency,
+        latency_jitter=link.jitter,
+        position_noise=0.0,
+        attitude_noise=0.0,
+        dropout=0.0,
+        frame_loss=link.loss,
+    )
+
+
+def as_logged(state: VehicleState) -> Pose:
+    """A pose as ``stateEstimateZ`` carries it: whole millimetres, a quaternion of 32 bits."""
+    position = np.trunc(1e3 * state.position) * 1e-3
+    return Pose(position, decompress_quaternion(compress_quaternion(state.quaternion.tolist())))
+
+
 def motions(level: Level) -> tuple[GateMotion | None, ...]:
     """How the gates of a level move."""
     return tuple(gate.motion for gate in level.track.gates)
@@ -271,6 +295,8 @@ class SimulatedArena:
     nominal: what a draw's mass (kg) and inertia (kg m2) are offsets from: the numbers of the
         level that is drawn from.
     noise: instead of the vehicle's own.
+    deck: a positioning deck (:mod:`.decks`) instead of the cameras: :attr:`source` then has the
+        vehicle's own estimate, as it would come by log data; what has no radio is not seen.
     """
 
     def __init__(
@@ -284,6 +310,7 @@ class SimulatedArena:
         motions: Sequence[GateMotion | None] = (),
         supply: VehicleSupply | None = None,
         nominal: NominalVehicle | None = None,
+        deck: str | None = None,
         track: Callable[[Draw], AnyTrack] | None = None,
         params: Mapping[str, float] | None = None,
     ) -> None:
@@ -302,7 +329,15 @@ class SimulatedArena:
         )
         nominal = nominal or NominalVehicle()
         self._nominal = np.array((nominal.mass, nominal.ixx, nominal.iyy, nominal.izz))
-        self.link = SimulatedLink(self.fleet, self.clock, link or LinkModel(), for_link)
+        link = link or LinkModel()
+        self.link = SimulatedLink(self.fleet, self.clock, link, for_link)
+        self._certainty: Certainty | None = None
+        if deck is not None:
+            (for_deck,) = rng.spawn(1)
+            self.fleet.decks.fit(0, make_deck(deck, for_deck))
+            relative = positioning(lambda name: self.fleet.get_param(0, name)).relative
+            self._certainty = Certainty(relative)
+            cameras = estimates_by_log(link)
         self.source = SimSource(self.clock, None, cameras, for_cameras)
         self._build = track or (lambda draw: Track(draw, motions))
         self._params = dict(params or {})
@@ -341,10 +376,25 @@ class SimulatedArena:
             fleet.advance(ticks)
         self.link.deliver(now)
         while self.source.next_exposure <= now:
-            truth = {self.body: fleet.tracked_pose(0)}
-            if track is not None:
-                truth |= track.bodies(fleet.time - self._staged)
-            self.source.expose(self.source.next_exposure, truth)
+            self.source.expose(self.source.next_exposure, self._seen(track))
+
+    def _seen(self, track: AnyTrack | None) -> dict[str, Pose]:
+        fleet = self.fleet
+        if self._certainty is not None:
+            told = fleet.telemetry(0)
+            assert told.state is not None
+            if self._certainty.doubt(told) is not None:
+                return {}
+            return {self.body: as_logged(told.state)}
+        truth = {self.body: fleet.tracked_pose(0)}
+        if track is not None:
+            truth |= track.bodies(fleet.time - self._staged)
+        return truth
+
+    def track_poses(self) -> dict[str, Pose]:
+        """True poses of gates and obstacles, as :func:`track_truth`; none before a stage."""
+        track = self._track
+        return {} if track is None else dict(track.bodies(self.fleet.time - self._staged))
 
     def close(self) -> None:
         self.link.close()

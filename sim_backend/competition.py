@@ -19,7 +19,7 @@ from crazyarena.crazyswarm_compat import commands
 from crazyarena.errors import BackendError, CommandError
 from crazyarena.levels.draw import Draw
 from crazyarena.sim_backend import competition_kernel as core
-from crazyarena.sim_backend.firmware import high_level, mellinger, parameters, wrapper_sensors
+from crazyarena.sim_backend.firmware import high_level, mellinger, parameters
 from crazyarena.sim_backend.physics import geometry
 from crazyarena.sim_backend.physics.scene import build_scene, ground_code
 from crazyarena.sim_backend.trace import TRACE_SIZE
@@ -43,10 +43,11 @@ class CompetitionWorld:
 
     def __init__(self, control_rate: float = 30.0, vehicle: int = 0) -> None:
         self.clock = VirtualClock()
-        self.control_rate = control_rate
+        self.control_rate = float(control_rate)
         self._id = vehicle
         self._unregister: Callable[[], None] | None = self.clock.on_advance(self._advance)
-        self._bodies, self._firmware = core.new_rows(1)
+        bodies, firmware = core.new_rows(1)
+        self._body, self._firmware = bodies[0], firmware[0]
         self._gains = parameters.default_row(mellinger.PARAMS, 2022)
         self._memory = np.zeros(_MEMORY_BYTES, np.uint8)
         self._plant = np.zeros(4)
@@ -59,9 +60,7 @@ class CompetitionWorld:
     def reset(self, draw: Draw) -> None:
         """Place the vehicle and the track as drawn; episode time restarts at 0 now."""
         x, vx, y, vy, z, vz, roll, pitch, yaw, p, q, r = draw.start
-        core.reset(
-            self._bodies[0], self._firmware[0], x, y, z, vx, vy, vz, roll, pitch, yaw, p, q, r
-        )
+        core.reset(self._body, self._firmware, x, y, z, vx, vy, vz, roll, pitch, yaw, p, q, r)
         self._plant[0] = draw.mass
         self._plant[1:] = draw.inertia
         self._scene = build_scene(draw.gates, draw.obstacles)
@@ -83,7 +82,7 @@ class CompetitionWorld:
 
     def motor_forces(self) -> Array:
         """(4,) rotor forces the firmware asks of the next tick, N; order as in the trace."""
-        return self._firmware[0, core.F_ACTION : core.F_ACTION + 4].copy()
+        return self._firmware[core.F_ACTION : core.F_ACTION + 4].copy()
 
     def close(self) -> None:
         """Stop following the clock; idempotent."""
@@ -104,17 +103,12 @@ class CompetitionWorld:
         assert self._draw is not None
         if self._queue:
             self._execute(self._queue.popleft())
-        firmware = self._firmware[0]
-        first = int(firmware[core.F_TICK])
-        last = first
-        while wrapper_sensors.step_due(last, self._period, self.control_rate):
-            last += 1
-        n_ticks = last - first
+        n_ticks = core.ticks_due(int(self._firmware[core.F_TICK]), self._period, self.control_rate)
         trace = np.empty((n_ticks, TRACE_SIZE))
         core.advance(
-            self._bodies[0],
+            self._body,
             self._plant,
-            firmware,
+            self._firmware,
             self._gains,
             self._memory,
             self._scene,
@@ -128,7 +122,7 @@ class CompetitionWorld:
         self._period += 1
 
     def _execute(self, command: commands.Command) -> None:
-        firmware = self._firmware[0]
+        firmware = self._firmware
         planner = firmware[core.F_HIGH_LEVEL :]
         now = self._period * (1.0 / self.control_rate)
         high_level.stop(planner)
@@ -242,7 +236,7 @@ class CompetitionBatch:
 
     def __init__(self, draws: Sequence[Draw], control_rate: float = 30.0) -> None:
         worlds = len(draws)
-        self.control_rate = control_rate
+        self.control_rate = float(control_rate)
         self._bodies, self._firmware = core.new_rows(worlds)
         self._plants = np.array([[d.mass, *d.inertia] for d in draws])
         self._scenes = np.stack([build_scene(d.gates, d.obstacles) for d in draws])
@@ -274,10 +268,7 @@ class CompetitionBatch:
         ``trace`` (worlds, >= 17, TRACE_SIZE) is filled if given.
         """
         first = int(self._firmware[0, core.F_TICK])
-        last = first
-        while wrapper_sensors.step_due(last, self._period, self.control_rate):
-            last += 1
-        n_ticks = last - first
+        n_ticks: int = core.ticks_due(first, self._period, self.control_rate)
         noise = self._next_noise(n_ticks)
         rows = np.empty((1, 0, TRACE_SIZE)) if trace is None else trace
         core.advance_worlds(

@@ -193,6 +193,15 @@ def advance(body, plant, firmware, gains, memory, scene, ground, work, noise, n_
             _trace(trace[k], (tick + 1.0) / TICK_RATE, body, firmware, code)
 
 
+@kernel
+def ticks_due(first, control_step, control_rate):
+    """How many ticks from ``first`` on belong to a control step (both counted from 0)."""
+    last = first
+    while wrapper_sensors.step_due(last, control_step, control_rate):
+        last += 1
+    return last - first
+
+
 @kernel(parallel=True)
 def advance_worlds(
     bodies, plants, firmware, gains, memory, scenes, ground, work, noise, n_ticks, trace

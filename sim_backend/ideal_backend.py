@@ -46,6 +46,8 @@ from crazyarena.sim_backend.physics.ideal import (
     MODE_POSITION,
     MODE_VELOCITY,
     MOTION_SIZE,
+    Avoidance,
+    Motion,
     advance_fleet,
     freeze,
     plan_go_to,
@@ -115,11 +117,28 @@ class IdealBackend:
         self._avoidance = np.zeros((n, len(collision_avoidance.PARAMS)))
         self._last_feasible = np.tile(collision_avoidance.new_memory(), (n, 1))
         self._peers = ~np.eye(n, dtype=np.bool_)
-        self._positions = np.zeros((n, 3))
-        self._work = (
-            np.zeros((n, 3)),
-            collision_avoidance.new_scratch(n),
-            np.zeros(SETPOINT_SIZE),
+        self._motion = tuple(
+            Motion(
+                modes=self._modes,
+                planner=self._planner,
+                memory=self._memory,
+                state=self._state,
+                stream=self._stream,
+                setpoint=self._setpoint,
+            )
+        )
+        self._avoiding = tuple(
+            Avoidance(
+                params=self._avoidance,
+                last_feasible=self._last_feasible,
+                peers=self._peers,
+                positions=np.zeros((n, 3)),
+                work=(
+                    np.zeros((n, 3)),
+                    collision_avoidance.new_scratch(n),
+                    np.zeros(SETPOINT_SIZE),
+                ),
+            )
         )
         self._trajectories: list[dict[int, np.ndarray]] = [{} for _ in range(n)]
         self._stored = [StoredTrajectories(config.name) for config in self._configs]
@@ -230,17 +249,8 @@ class IdealBackend:
             advance_fleet(
                 now,
                 dt,
-                self._modes,
-                self._planner,
-                self._memory,
-                self._state,
-                self._stream,
-                self._setpoint,
-                self._avoidance,
-                self._last_feasible,
-                self._peers,
-                self._positions,
-                self._work,
+                self._motion,
+                self._avoiding,
                 self._options.max_velocity,
                 self._options.disturbance,
                 np.random.normal(size=(flying, 3)),  # noqa: NPY002

@@ -121,10 +121,11 @@ def test_the_check_itself(path, source, count):
 ROOMS = (
     ("cli",),
     ("cli.options",),
+    ("check",),
     ("",),  # whole commands as programs
     ("campaign.udp",),
     ("campaign",),
-    ("campaign.strikes",),
+    ("campaign.strikes", "viewer"),
     ("trial",),
     ("rig.flight_process",),
     ("rig", "records"),

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import fnmatch
 import tomllib
 from pathlib import Path
 
 from setuptools import find_namespace_packages
+
+from crazyarena.runner.contestant.shipped import STARTERS
 
 ROOT = Path(__file__).resolve().parent.parent
 _FOLDERS = ("crazyswarm_compat", "levels", "mocap", "runner", "safety", "sim_backend")
@@ -34,6 +37,21 @@ def test_every_folder_with_modules_is_installed_once():
     }
     assert present <= set(folders), f"left out: {sorted(map(str, present - set(folders)))}"
     assert len(folders) == len(set(folders)), "a module would be in the wheel twice"
+
+
+def test_the_wheel_holds_the_whole_of_what_new_copies():
+    rules = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    patterns = (*rules["package-data"]["*"], "*.py")
+    packages = installed()
+    for name in STARTERS.values():
+        folder = ROOT / "examples" / name
+        assert folder in packages.values()
+        left_out = [
+            f.name
+            for f in folder.iterdir()
+            if f.is_file() and not any(fnmatch.fnmatch(f.name, pattern) for pattern in patterns)
+        ]
+        assert not left_out
 
 
 def test_each_folder_is_followed_from_the_package():

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from crazyarena.plain_text import shown, shown_in, shown_line, unmarked
+from crazyarena.plain_text import file_name, shown, shown_in, shown_line, unmarked
 
 anything = st.text(st.characters())  # with surrogates and control characters
 
@@ -61,3 +61,19 @@ def test_markup_of_the_terminal():
     stream = io.StringIO()
     Console(file=stream, force_terminal=False).print(shown("[bold red]markup[/]"), markup=False)
     assert stream.getvalue() == "[bold red]markup[/]\n"
+
+
+@given(st.text(max_size=200))
+def test_a_file_name_is_nothing_else(text):
+    name = file_name(text)
+    assert 0 < len(name) <= 64
+    assert name == shown(name)
+    assert name[0] not in ".-"
+    assert not set(name) & set("/\\\0 \n\t\x1b$`'\"*?;&|<>[]~")
+
+
+def test_ordinary_names_are_kept():
+    assert file_name("my_controller-2.1") == "my_controller-2.1"
+    assert file_name("Flieger_ä") == "Flieger_ä"
+    assert file_name("../../etc/passwd") == "etc_passwd"
+    assert file_name("\x1b[2J\x07") == "2J_"

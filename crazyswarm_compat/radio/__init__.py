@@ -17,6 +17,7 @@ from crazyarena.crazyswarm_compat.radio.events import (
     LinkUp,
     StreamEnded,
     TrajectoryUploaded,
+    VehicleRestarted,
 )
 from crazyarena.crazyswarm_compat.radio.lanes import Lane, LaneStatistics, OutboxOptions
 from crazyarena.crazyswarm_compat.radio.options import RadioOptions
@@ -42,5 +43,6 @@ __all__ = [
     "StreamEnded",
     "SupervisorState",
     "TrajectoryUploaded",
+    "VehicleRestarted",
     "open_radio",
 ]

@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from crazyarena.crazyswarm_compat.commands import CollisionAvoidance
+from crazyarena.errors import BackendError
 
 AVOIDANCE_SWITCH = "colAv.enable"
 _EVERYWHERE = 1e6  # m, of a box without bounds
 
 
-def avoidance_params(m: CollisionAvoidance) -> list[tuple[str, float]]:
+def avoidance_params(
+    m: CollisionAvoidance, has: Callable[[str], bool], who: str
+) -> list[tuple[str, float]]:
     """Parameters ``group.name`` and values, in the order to write them: the switch is last, so
-    that no vehicle avoids with numbers that it had before."""
+    that no vehicle avoids with numbers that it had before.
+
+    ``has`` says which parameters vehicle ``who`` has; BackendError if it cannot avoid collisions.
+    """
+    if not has(AVOIDANCE_SWITCH):
+        if m.enable:
+            raise BackendError(
+                f"{who}: its firmware was built without collision avoidance (colAv.*)"
+            )
+        return []
     switch = (AVOIDANCE_SWITCH, int(m.enable))
     if not m.enable:
         return [switch]

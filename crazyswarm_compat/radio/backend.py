@@ -29,7 +29,7 @@ from crazyarena.crazyswarm_compat.radio.options import RadioOptions
 from crazyarena.crazyswarm_compat.radio.preflight import Preparation, prepare_vehicle
 from crazyarena.crazyswarm_compat.radio.quality import LinkStatistics
 from crazyarena.crazyswarm_compat.radio.script_report import ScriptReport
-from crazyarena.crazyswarm_compat.radio.telemetry import SupervisorState, is_stopped
+from crazyarena.crazyswarm_compat.radio.telemetry import OnState, SupervisorState, is_stopped
 from crazyarena.errors import BackendError, CommandError, InputError
 from crazyarena.types import Pose, Telemetry, Vector
 
@@ -245,6 +245,11 @@ class RadioBackend:
 
     # Beyond the common interface
 
+    def on_state(self, vehicle: int, listener: OnState) -> None:
+        """Have ``listener(telemetry, stamp)`` called at every estimate that a vehicle sends, with
+        the vehicle's time stamp (ms modulo 2^24), in the thread of the link."""
+        self._link(vehicle).telemetry.on_state.append(listener)
+
     def set_param(self, vehicle: int, name: str, value: float) -> None:
         """Write ``group.name`` and read it back (blocks).
 
@@ -306,6 +311,10 @@ class RadioBackend:
             list(pool.map(one, chosen))
         if failures:
             raise BackendError("; ".join(failures))
+
+    def prepare_onboard(self) -> None:
+        """As :meth:`prepare`, of vehicles that know their place by positioning decks."""
+        self.prepare(Preparation(onboard=True))
 
     def arm_watchdog(self, vehicle: int | None = None, feed_period: float | None = None) -> None:
         """Start the onboard emergency-stop watchdog: from now on it must be fed at least once a
@@ -450,7 +459,8 @@ def open_radio(fleet: FleetConfig, clock: Clock, options: Any = None) -> RadioBa
     """Backend ``radio`` of :func:`~crazyarena.crazyswarm_compat.registry.open_backend`:
     connects, then writes the firmware parameters of the fleet's configuration."""
     # A script does not listen to events: what can be mended by itself is.
-    chosen = options if isinstance(options, RadioOptions) else RadioOptions(reconnect=True)
+    own = RadioOptions(reconnect=True, parameters="all" if fleet.read_all else "needed")
+    chosen = options if isinstance(options, RadioOptions) else own
     backend = RadioBackend(fleet, clock, chosen)
     try:
         for config in fleet.vehicles:

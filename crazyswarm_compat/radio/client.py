@@ -7,19 +7,20 @@ import logging
 import os
 import struct
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import Any, Literal
 
 import cflib.crtp
 from cflib.crazyflie import Crazyflie
-from cflib.crazyflie.param import ParamTocElement
+from cflib.crazyflie.param import ParamTocElement, _ParamUpdater
 from cflib.crazyflie.toc import TocFetcher
 from cflib.crtp.crtpstack import CRTPPacket, CRTPPort
 from cflib.crtp.udpdriver import UdpDriver
 
 from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat.radio.batch import Batch, TocStore, fetch_toc
+from crazyarena.crazyswarm_compat.radio.param_answers import ParamAnswers
 from crazyarena.crazyswarm_compat.radio.quality import RoundTrip
 from crazyarena.crazyswarm_compat.radio.radio_driver import scheduled
 
@@ -76,6 +77,8 @@ class Client(Crazyflie):
     Attributes
     ----------
     round_trip: of requests and their answers. answers: how many came so far.
+    param_answered: called with the name of a parameter whose reading or writing has been answered,
+        in cflib's thread.
     """
 
     def __init__(
@@ -95,6 +98,8 @@ class Client(Crazyflie):
         self._asked: dict[tuple[int, ...], float] = {}
         self.round_trip = round_trip
         self.answers = 0
+        self.param_answered: Callable[[str], None] = lambda name: None
+        self._param_answers = ParamAnswers(self._param_id_answered)
         super().__init__(rw_cache=None if cache is None else os.fspath(cache))
         self._toc_cache: Any = TocStore(self._toc_cache)
         latency = self.link_statistics.latency
@@ -115,6 +120,17 @@ class Client(Crazyflie):
     def open_link(self, link_uri: str) -> None:
         with scheduled() if self._scheduled else contextlib.nullcontext():
             super().open_link(link_uri)
+
+    def add_port_callback(self, port: int, cb: Any) -> None:
+        # Those of cflib's parameter thread, which it makes for every connection.
+        if port == CRTPPort.PARAM and isinstance(getattr(cb, "__self__", None), _ParamUpdater):
+            cb = self._param_answers.through(cb)
+        super().add_port_callback(port, cb)
+
+    def _param_id_answered(self, ident: bytes) -> None:
+        element = self.param.toc.get_element_by_id(int.from_bytes(ident, "little"))
+        if element is not None:
+            self.param_answered(f"{element.group}.{element.name}")
 
     # Connecting
 
@@ -195,6 +211,9 @@ class Client(Crazyflie):
     ) -> None:
         if not pk.is_data_size_valid():
             raise ValueError(f"packet of {pk.get_data_size()} bytes; CRTP allows 30")
+        if pk.port == CRTPPort.PARAM and not resend:
+            wide = self.platform.get_protocol_version() >= _ID_16_BIT
+            self._param_answers.asks(pk.channel, bytes(pk.data), wide)
         if expected_reply:
             now = self._clock.now()
             if isinstance(self._driver, UdpDriver):

@@ -36,6 +36,12 @@ class LinkLost(LinkEvent):
 
 
 @dataclass(frozen=True, slots=True)
+class VehicleRestarted(LinkEvent):
+    """The vehicle has been switched off and on, or has restarted by itself: what was written or
+    uploaded to it is gone."""
+
+
+@dataclass(frozen=True, slots=True)
 class CommandRefused(LinkEvent):
     """The vehicle answered a high-level command with the error number ``code``."""
 

@@ -28,6 +28,7 @@ from crazyarena.crazyswarm_compat.radio.events import (
     LinkUp,
     StreamEnded,
     TrajectoryUploaded,
+    VehicleRestarted,
 )
 from crazyarena.crazyswarm_compat.radio.hand_over import until_told
 from crazyarena.crazyswarm_compat.radio.lanes import HighLevelItem
@@ -79,6 +80,8 @@ class VehicleLink:
             clock, options.state_rate, options.health_rate, self._packets_out
         )
         self.telemetry.plant_rate = options.plant_rate
+        self.telemetry.certainty_rate = options.certainty_rate
+        self.telemetry.on_restart = self._restarted
         self.pings = Pings(self._round_trip)
         self.client: Client | None = None
         self.connected = False
@@ -207,6 +210,10 @@ class VehicleLink:
             self._silent_since = self.last_heard
             self._events.emit(LinkLost(self._clock.now(), self.id, reason))
 
+    def _restarted(self) -> None:
+        self._uploaded.clear()
+        self._events.emit(VehicleRestarted(self._clock.now(), self.id))
+
     def check_silence(self, now: float) -> None:
         """Detect that the vehicle has fallen silent, or speaks again."""
         client = self.client
@@ -307,7 +314,8 @@ class VehicleLink:
             for colour, level in zip(("Red", "Green", "Blue"), levels, strict=True):
                 self._write_later(f"ring.solid{colour}", int(255 * float(level)))
         elif isinstance(command, c.CollisionAvoidance):
-            self._collision_avoidance(command)
+            for name, value in avoidance_params(command, self.parameters.has, self.name):
+                self._write_later(name, value)
         elif isinstance(command, c.Arm):
             self._later("arm", (pk.arm(bool(command.arm), protocol),))
         else:
@@ -426,16 +434,6 @@ class VehicleLink:
         stored = self._write_later(name, value)
         self.parameters.wait_written(name)
         self.parameters.compare(name, stored)
-
-    def _collision_avoidance(self, m: c.CollisionAvoidance) -> None:
-        if not self.parameters.has(AVOIDANCE_SWITCH):
-            if m.enable:
-                raise BackendError(
-                    f"{self.name}: its firmware was built without collision avoidance (colAv.*)"
-                )
-            return
-        for name, value in avoidance_params(m):
-            self._write_later(name, value)
 
     # Trajectories
 

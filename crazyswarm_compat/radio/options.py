@@ -32,7 +32,8 @@ class RadioOptions:
     as cflib's own driver does; packets_per_second: what one Crazyradio carries for all its vehicles
     under ``cflib`` (nothing else needs such a limit); state_rate, health_rate: of the onboard
     estimate and body rates, and of battery, supervisor and RSSI, 0 for none; plant_rate: of motors,
-    accelerometer and voltage, 0 for none; ping_rate: of the echoes that show loss and latency;
+    accelerometer and voltage, 0 for none; certainty_rate: of how sure the onboard filter is, 0 for
+    none; ping_rate: of the echoes that show loss and latency;
     poses: ``single`` sends full resolution, ``packed`` millimetres, ``auto`` broadcasts them packed
     where three vehicles or more share a channel; param_timeout, upload_timeout: for the vehicle's
     answer; outbox: limits of the traffic classes.
@@ -51,6 +52,7 @@ class RadioOptions:
     state_rate: float = 20.0
     health_rate: float = 10.0
     plant_rate: float = 0.0
+    certainty_rate: float = 0.0
     ping_rate: float = 10.0
     poses: Literal["auto", "single", "packed"] = "auto"
     param_timeout: float = 2.0
@@ -80,7 +82,7 @@ class RadioOptions:
                 f"radio options: in_flight is {self.in_flight!r}; it must be 1 to 12 (a vehicle "
                 "queues some sixteen requests)"
             )
-        for name in ("state_rate", "health_rate", "plant_rate"):
+        for name in ("state_rate", "health_rate", "plant_rate", "certainty_rate"):
             value = getattr(self, name)
             if value != 0 and not 0.4 <= value <= 100:
                 raise InputError(

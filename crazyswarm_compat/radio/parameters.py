@@ -47,7 +47,7 @@ class Parameters:
         """Hear the answers on a new connection; those of the old one come no more."""
         with self._answered:
             self._writes.clear()
-        client.param.add_update_callback(cb=self._answer)
+        client.param_answered = self._answer
 
     def _element(self, name: str) -> Any:
         client = self._client()
@@ -106,7 +106,7 @@ class Parameters:
             return
         client.param.set_value(name, value)
 
-    def _answer(self, name: str, _: str) -> None:
+    def _answer(self, name: str) -> None:
         with self._answered:
             left = self._writes.get(name, 0) - 1
             if left > 0:

@@ -12,6 +12,7 @@ import numpy as np
 
 from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.crazyswarm_compat.positioning import positioning
 from crazyarena.crazyswarm_compat.radio.link import VehicleLink
 from crazyarena.crazyswarm_compat.radio.telemetry import (
     ARMED,
@@ -19,6 +20,7 @@ from crazyarena.crazyswarm_compat.radio.telemetry import (
     CRASHED,
     FLYING,
     LOCKED,
+    POSITION_VARIANCES,
     TUMBLED,
     Block,
     knows,
@@ -32,6 +34,7 @@ _KALMAN = 2
 _VARIANCES = ("kalman.varPX", "kalman.varPY", "kalman.varPZ")
 _SAMPLES = 10  # of the variance, at 10 Hz
 _SPREAD = 1e-3  # m², of the variance over these
+_LARGEST = 0.15**2  # m², of the variance itself
 _POLL = 0.05
 _TELEMETRY_PATIENCE = 3.0
 _LANDED_PATIENCE = 3.0
@@ -45,7 +48,9 @@ class Preparation:
     params: ``group.name`` to value, written and read back; battery: at least so many volts, None
     for the warning level of the fleet's configuration; needs_pose: external poses must be coming
     in and the estimate must agree with them within position_tolerance m and yaw_tolerance rad;
-    pose_age: of the latest, s; convergence_timeout s; arm: arm a vehicle that waits for it.
+    pose_age: of the latest, s; convergence_timeout s; arm: arm a vehicle that waits for it;
+    onboard: instead of external poses it knows its place by a positioning deck. One that is only
+    counted begins at its initial position, nose along x.
     """
 
     estimator: int = _KALMAN
@@ -58,6 +63,7 @@ class Preparation:
     pose_age: float = 0.5
     convergence_timeout: float = 15.0
     arm: bool = True
+    onboard: bool = False
 
 
 def prepare_vehicle(link: VehicleLink, wanted: Preparation, clock: Clock) -> None:
@@ -78,11 +84,16 @@ class _Preflight:
         self._link = link
         self._wanted = wanted
         self._clock = clock
+        self._variances = _VARIANCES
 
     def run(self) -> None:
         self._supervisor()
         self._battery()
-        pose = self._pose() if self._wanted.needs_pose else None
+        pose = None
+        if self._wanted.onboard:
+            pose = self._own_place()
+        elif self._wanted.needs_pose:
+            pose = self._pose()
         self._parameters()
         self._reset_estimator(pose)
         self._converged()
@@ -145,6 +156,22 @@ class _Preflight:
         assert pose is not None
         return pose
 
+    def _own_place(self) -> Pose | None:
+        """Where a vehicle with a positioning deck begins to estimate, None to leave it as it is."""
+        link = self._link
+        decks = positioning(link.parameters.get)
+        if not decks.decks:
+            raise self._fail(
+                "has no positioning deck (deck.bcLighthouse4, bcLoco, bcFlow2 are 0); fit one and "
+                "restart it, or give it poses by --mocap"
+            )
+        self._variances = _VARIANCES if decks.relative else POSITION_VARIANCES
+        if decks.relative:
+            x, y, _ = link.config.initial_position
+            return Pose(np.array((x, y, 0.0)))
+        state = link.telemetry.latest.state
+        return None if state is None else Pose(state.position, state.quaternion)
+
     def _fresh_pose(self) -> Pose | None:
         last = self._link.last_pose
         if last is None or self._clock.now() - last[0] > self._wanted.pose_age:
@@ -184,17 +211,17 @@ class _Preflight:
         client = link.client
         if client is None:
             raise self._fail("the link was lost while it was being prepared")
-        if not all(knows(client, name) for name in _VARIANCES):
+        if not all(knows(client, name) for name in self._variances):
             _LOG.info("%s: no variance to watch; the estimate is compared only", link.name)
             if not self._wait(lambda: self._disagreement() is None, timeout):
                 raise self._fail(str(self._disagreement()))
             return
         history: deque[tuple[float, ...]] = deque(maxlen=_SAMPLES)
 
-        def received(values: Mapping[str, float]) -> None:
-            history.append(tuple(values[name] for name in _VARIANCES))
+        def received(values: Mapping[str, float], _: int) -> None:
+            history.append(tuple(values[name] for name in self._variances))
 
-        block = Block(client, "variance", _VARIANCES, 100, received)
+        block = Block(client, "variance", self._variances, 100, received)
         try:
             if self._wait(lambda: _settled(history) and self._disagreement() is None, timeout):
                 return
@@ -206,14 +233,19 @@ class _Preflight:
             spread = np.sqrt(np.max(list(history), axis=0))
             raise self._fail(
                 f"its estimator did not converge within {timeout:g} s (standard deviation "
-                f"{spread.max():.2f} m); check that external poses reach it"
+                f"{spread.max():.2f} m); check that "
+                + (
+                    "its base stations are in sight"
+                    if self._wanted.onboard
+                    else "external poses reach it"
+                )
             )
         raise self._fail(str(self._disagreement()))
 
     def _disagreement(self) -> str | None:
         """What keeps the estimate from agreeing with the external pose; None if nothing."""
         wanted = self._wanted
-        if not wanted.needs_pose:
+        if wanted.onboard or not wanted.needs_pose:
             return None
         pose, state = self._fresh_pose(), self._link.telemetry.latest.state
         if pose is None:
@@ -241,7 +273,8 @@ def _settled(history: deque[tuple[float, ...]]) -> bool:
     if len(history) < _SAMPLES:
         return False
     values = np.array(list(history))
-    return bool((values.max(axis=0) - values.min(axis=0) < _SPREAD).all())
+    settled = values.max(axis=0) - values.min(axis=0) < _SPREAD
+    return bool(settled.all() and (values[-1] < _LARGEST).all())
 
 
 def _yaw(quaternion: np.ndarray) -> float:

@@ -20,6 +20,7 @@ from crazyarena.crazyswarm_compat.radio.events import (
     LinkLost,
     LinkUp,
     StreamEnded,
+    VehicleRestarted,
 )
 from crazyarena.crazyswarm_compat.radio.link import VehicleLink
 from crazyarena.crazyswarm_compat.radio.telemetry import SupervisorState
@@ -35,6 +36,7 @@ _REFUSALS = {
 _FLIGHT_VERBS = frozenset({"takeoff", "land", "goTo", "startTrajectory"})
 _DUMB = 3.0  # s without a log packet on a link that answers
 _LOW = 0.15  # m
+_KNOWN_BY = 4.0  # s after which it is known whether a vehicle that is back was restarted
 
 
 class _Vehicle:
@@ -44,6 +46,8 @@ class _Vehicle:
         self.link = link
         self.lost_at: float | None = None
         self.flew = False  # when it was lost or fell silent, or is meant to fly since
+        self.back_at: float | None = None  # after it was lost in flight
+        self.restarted = False  # in flight
         self.dumb = False
         self.ended = False
 
@@ -141,7 +145,19 @@ class ScriptReport:
             case LinkUp():
                 if vehicle.lost_at is not None:
                     warn(f"{name}: link is back after {event.outage:.1f} s", stacklevel=6)
+                vehicle.back_at = event.time if vehicle.flew else None
                 vehicle.lost_at, vehicle.flew = None, False
+            case VehicleRestarted():
+                # What it was doing before it was lost, it was doing when it was restarted.
+                back, vehicle.back_at = vehicle.back_at, None
+                recent = back is not None and event.time - back < _KNOWN_BY
+                vehicle.restarted = vehicle.flew or recent
+                if not vehicle.restarted:
+                    warn(
+                        f"{name}: was restarted: its parameters are those that it boots with, "
+                        "what was uploaded is gone",
+                        stacklevel=6,
+                    )
             case CommandLost():
                 if event.verb in _FLIGHT_VERBS and vehicle.lost_at is not None:
                     vehicle.flew = True
@@ -168,6 +184,8 @@ class ScriptReport:
 
     def _gone(self, vehicle: _Vehicle, now: float) -> str | None:
         link = vehicle.link
+        if vehicle.restarted:
+            return "was restarted in flight"
         if vehicle.lost_at is not None:
             out = now - vehicle.lost_at
             if vehicle.flew and out > self._patience:

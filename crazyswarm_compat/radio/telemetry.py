@@ -14,6 +14,7 @@ from cflib.crazyflie.log import LogConfig
 from cflib.utils.encoding import decompress_quaternion
 
 from crazyarena.clock import Clock
+from crazyarena.crazyswarm_compat.radio.uptime import Uptime
 from crazyarena.types import Telemetry, Vector, VehicleState
 
 _LOG = logging.getLogger(__name__)
@@ -36,10 +37,17 @@ _MOTORS = ("motor.m1", "motor.m2", "motor.m3", "motor.m4")
 _ACCELEROMETER = ("acc.x", "acc.y", "acc.z")
 _MILLIVOLTS = "pm.vbatMV"
 _FULL_SCALE = 65535.0
+# How sure the on-board filter is: m2 in the world, (m/s)2 along the body.
+POSITION_VARIANCES = ("kalman.varX", "kalman.varY", "kalman.varZ")
+VELOCITY_VARIANCES = ("kalman.varPX", "kalman.varPY", "kalman.varPZ")
 # What firmware before the supervisor told instead.
 _OLD_FLAGS = (("sys.canfly", CAN_FLY), ("sys.isFlying", FLYING), ("sys.isTumbled", TUMBLED))
 _TICKS = 1 << 24
 _LONGEST_PERIOD = 2540  # ms
+
+
+Received = Callable[[Mapping[str, float], int], None]
+OnState = Callable[[Telemetry, int], None]
 
 
 def is_stopped(flags: int) -> bool:
@@ -79,7 +87,8 @@ class Block:
     client: a connected cflib client.
     name, variables: of the block; all variables must be in the vehicle's table of contents.
     period_ms: a multiple of 10, 10..2540.
-    received: called with the values by name, in cflib's thread.
+    received: called with the values by name and the vehicle's time stamp, ms modulo 2^24, in
+        cflib's thread.
     """
 
     def __init__(
@@ -88,7 +97,7 @@ class Block:
         name: str,
         variables: Sequence[str],
         period_ms: int,
-        received: Callable[[Mapping[str, float]], None],
+        received: Received,
     ) -> None:
         self._config = LogConfig(name, period_ms)
         for variable in variables:
@@ -129,7 +138,7 @@ class Block:
                 self.missed += periods - 1
         self._last = stamp
         self.packets += 1
-        self._received(values)
+        self._received(values, stamp)
 
     def _error(self, _: LogConfig, message: str) -> None:
         _LOG.warning("log block %s: %s", self._config.name, message)
@@ -154,6 +163,10 @@ class TelemetryReader:
     Attributes
     ----------
     plant_rate: of motors, accelerometer and voltage, Hz, from the next connection on; 0 for none.
+    certainty_rate: of how sure its filter is of the estimate, likewise.
+    on_restart: called when the stamps of its log data show that it was restarted.
+    on_state: called with what is known and the vehicle's time stamp, ms modulo 2^24, at every
+        estimate; in cflib's thread.
     """
 
     def __init__(
@@ -166,6 +179,10 @@ class TelemetryReader:
         self._sent_before = 0
         self._rates = (state_rate, health_rate)
         self.plant_rate = 0.0
+        self.certainty_rate = 0.0
+        self.on_state: list[OnState] = []
+        self.on_restart: Callable[[], None] = lambda: None
+        self._uptime = Uptime()
         self._lock = threading.Lock()
         self._blocks: list[Block] = []
         self._divisor = 1
@@ -200,6 +217,13 @@ class TelemetryReader:
                 Block(client, "health", health, _period_ms(health_rate), self._health)
             )
 
+        certainty = (*POSITION_VARIANCES, *VELOCITY_VARIANCES)
+        if self.certainty_rate and all(knows(client, name) for name in certainty):
+            self._blocks.append(
+                Block(
+                    client, "certainty", certainty, _period_ms(self.certainty_rate), self._certainty
+                )
+            )
         plant = (*_MOTORS, *_ACCELEROMETER, _MILLIVOLTS)
         if self.plant_rate and all(knows(client, name) for name in plant):
             self._blocks.append(
@@ -242,7 +266,7 @@ class TelemetryReader:
         with self._lock:
             self._last = replace(self._last, **changes)
 
-    def _motion(self, values: Mapping[str, float]) -> None:
+    def _motion(self, values: Mapping[str, float], stamp: int) -> None:
         now = self._clock.now()
         milli = [1e-3 * values[f"stateEstimateZ.{name}"] for name in _MOTION[:6]]
         quaternion = decompress_quaternion(int(values["stateEstimateZ.quat"]))
@@ -254,8 +278,17 @@ class TelemetryReader:
             angular_velocity=self._omega,
         )
         self._update(timestamp=now, state=state)
+        for listener in self.on_state:
+            listener(self._last, stamp)
 
-    def _plant(self, values: Mapping[str, float]) -> None:
+    def _certainty(self, values: Mapping[str, float], _: int) -> None:
+        position, velocity = (
+            math.sqrt(max(0.0, *(float(values[name]) for name in names)))
+            for names in (POSITION_VARIANCES, VELOCITY_VARIANCES)
+        )
+        self._update(position_std=position, velocity_std=velocity)
+
+    def _plant(self, values: Mapping[str, float], _: int) -> None:
         self._update(
             timestamp=self._clock.now(),
             battery=1e-3 * float(values[_MILLIVOLTS]),
@@ -263,7 +296,7 @@ class TelemetryReader:
             acceleration=np.array([float(values[name]) for name in _ACCELEROMETER]),
         )
 
-    def _health(self, values: Mapping[str, float]) -> None:
+    def _health(self, values: Mapping[str, float], stamp: int) -> None:
         changes: dict[str, Any] = {"timestamp": self._clock.now()}
         if "pm.vbat" in values:
             changes["battery"] = float(values["pm.vbat"])
@@ -278,8 +311,10 @@ class TelemetryReader:
         elif "sys.canfly" in values:
             changes["supervisor"] = sum(mask for name, mask in _OLD_FLAGS if values.get(name))
         self._update(**changes)
+        if self._uptime.restarted(stamp, self._clock.now()):
+            self.on_restart()
 
-    def _turn(self, values: Mapping[str, float]) -> None:
+    def _turn(self, values: Mapping[str, float], _: int) -> None:
         roll, pitch, yaw = (1e-3 * values[f"stateEstimateZ.{name}"] for name in _RATES)
         # The firmware logs the pitch rate in its legacy sign.
         self._omega = np.array([roll, -pitch, yaw])

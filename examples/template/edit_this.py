@@ -21,7 +21,7 @@ class Controller:
     initial_info: dict; among others ``ctrl_timestep`` (s), ``nominal_gates_pos_and_type``
         ([x, y, 0, r, p, yaw, type] each), ``nominal_obstacles_pos``, ``gate_dimensions``,
         ``x_reference`` (12,), the goal as a state, ``nominal_physical_parameters``.
-    use_firmware: True when ``cmdFirmware`` will be called.
+    use_firmware: True: ``cmdFirmware`` will be called.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Controller:
         return Command.NONE, []
 
     def cmdSimOnly(self, time, obs, reward=None, done=None, info=None):
-        """Return (position (3,), velocity (3,)) targets; only used without firmware."""
+        """Part of the contract of 2022, for flights without firmware; not called here."""
         raise NotImplementedError
 
     @timing_step

@@ -6,7 +6,6 @@ import contextlib
 import math
 import random
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,7 +39,7 @@ from crazyarena.runner.campaign.setting import (
 from crazyarena.safety.events import Action
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.gate import CommandGate
-from crazyarena.safety.limits import PID_BRAKING, Limits
+from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import CRASHED, LOCKED
 from crazyarena.safety.watchdog import Watchdog
 from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
@@ -97,7 +96,7 @@ class Flight:
             self.link,
             self.fence,
             self.clock,
-            self._limits(limits or ALL_FAULTS[fault].limits),
+            plan.limits(limits or ALL_FAULTS[fault].limits),
             state=self._believed,
         )
         forwarder = PoseForwarder({BODY: VEHICLE}, self.gate.send_external_poses, self.clock)
@@ -126,9 +125,6 @@ class Flight:
         self.gust = np.zeros(3)
         self.each: Callable[[float], None] | None = None
         self._excursion = Excursion(self.fence)
-
-    def _limits(self, limits: Limits) -> Limits:
-        return limits if self.mellinger else replace(limits, braking=PID_BRAKING)
 
     # What faults use
 

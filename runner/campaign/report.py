@@ -10,6 +10,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+from crazyarena import whole_file
 from crazyarena.runner.campaign.faults import ALL_FAULTS
 from crazyarena.runner.campaign.outcome import Outcome, summarise
 
@@ -52,7 +53,7 @@ def write_json(path: Path, outcomes: Sequence[Outcome], title: str = SIMULATED) 
         "summary": plain(summarise(outcomes)),
         "flights": [plain(asdict(outcome)) for outcome in outcomes],
     }
-    path.write_text(json.dumps(document, indent=1) + "\n")
+    whole_file.write_whole(path, json.dumps(document, indent=1) + "\n")
 
 
 def save_figure(path: Path, outcomes: Sequence[Outcome], title: str = SIMULATED) -> None:
@@ -81,4 +82,4 @@ def save_figure(path: Path, outcomes: Sequence[Outcome], title: str = SIMULATED)
     for kind, colour in colours.items():
         right.plot([], [], ".", color=colour, label=kind)
     right.legend(title="fault of", fontsize="small")
-    figure.savefig(path, dpi=130)
+    whole_file.save_figure(figure, path, dpi=130)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.levels import load_level
 from crazyarena.runner.campaign.flight import Flight
 from crazyarena.runner.campaign.setting import BODY, BOOT
 from crazyarena.safety.events import Action, SafetyEvent
+from crazyarena.safety.limits import Limits
 from crazyarena.types import Pose, PoseFrame
 
 _RULES = ("body_turned", "body_turned_far", "yaw_apart")
@@ -55,11 +58,17 @@ def mirror(pose: Pose) -> Pose:
 
 
 def fly_turned(
-    angle: float, seed: int, *, turning: float = 0.0, mirrored: bool = False
+    angle: float,
+    seed: int,
+    *,
+    turning: float = 0.0,
+    mirrored: bool = False,
+    climb: float | None = None,
+    limits: Limits | None = None,
 ) -> TurnedFlight:
-    """Take off and fly a circuit with a body turned by ``angle`` rad, and by ``turning`` rad/s
-    more from the take-off on."""
-    flight = Flight("silent", seed, load_level("level0"))
+    """Take off and fly with a body turned by ``angle`` rad, and by ``turning`` rad/s more from the
+    take-off on: a circuit, or straight up for a metre in ``climb`` s and nothing else."""
+    flight = Flight("silent", seed, load_level("level0"), limits)
     flight.onset = math.inf  # nothing else strikes
 
     def spoil(frame: PoseFrame) -> PoseFrame:
@@ -71,6 +80,9 @@ def fly_turned(
         return replace(frame, bodies=bodies)
 
     flight.cameras.spoil = spoil
+    if climb is not None:
+        flight.contestant = _take_off(climb)
+        flight.silence_is_an_answer = True
     # As preflight and crew begin: the estimator takes the heading from the cameras.
     for name, value in (("initialYaw", angle), ("resetEstimation", 1), ("resetEstimation", 0)):
         flight.fleet.set_param(0, f"kalman.{name}", value)
@@ -102,6 +114,11 @@ def fly_turned(
         outcome.excursion,
         tuple(event.rule for event in outcome.events if event.severity.takes_over),
     )
+
+
+def _take_off(climb: float) -> Callable[[float], c.Command | None]:
+    commands = [c.Takeoff(1.0, climb)]
+    return lambda now: commands.pop() if commands else None
 
 
 def _first(events: list[SafetyEvent], severity: Action) -> SafetyEvent | None:

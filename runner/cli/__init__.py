@@ -7,10 +7,14 @@ their functions, so that ``crazyarena --help`` answers at once.
 
 from __future__ import annotations
 
+import functools
 import importlib
 import inspect
+import math
 import pkgutil
 import re
+from collections.abc import Callable
+from typing import Any
 
 import typer
 
@@ -47,8 +51,26 @@ def make_app(only: str | None = None) -> typer.Typer:
         if register is not None:
             register(app)
     for command in app.registered_commands:
+        if command.callback is not None:
+            command.callback = _finite_only(command.callback)
         command.short_help = _first_sentence(inspect.getdoc(command.callback) or "")
     return app
+
+
+def _finite_only(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Refuse nan and inf, which pass every comparison with a bound or none, for all options."""
+
+    @functools.wraps(command)
+    def run(*arguments: Any, **options: Any) -> Any:
+        for name, value in options.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                flag = f"--{name.rstrip('_').replace('_', '-')}"
+                raise typer.BadParameter(
+                    f"found {value}; need a finite number", param_hint=f"'{flag}'"
+                )
+        return command(*arguments, **options)
+
+    return run
 
 
 def _first_sentence(text: str) -> str:

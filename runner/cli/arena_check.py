@@ -22,6 +22,14 @@ def arena_check(
     ] = None,
     out: Annotated[Path, typer.Option(help="PNG to draw to.")] = Path("arena.png"),
     height: Annotated[float, typer.Option(help="m, of the cut seen from above.")] = 1.0,
+    track: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write the nominal track there, to be corrected by hand where no cameras can "
+            "measure it, for --survey.",
+        ),
+    ] = None,
 ) -> None:
     """Check a level's fence and keep-out zones, and draw them.
 
@@ -31,9 +39,10 @@ def arena_check(
     with bad_input_exits():
         from crazyarena.errors import InputError
         from crazyarena.levels.lsy.arena import bare_arena
+        from crazyarena.mocap.survey import write_taped
         from crazyarena.runner.records.arena_figure import save_arena
         from crazyarena.safety.fence import Fence
-        from crazyarena.safety.placement import obstructions
+        from crazyarena.safety.placement import nominal_track, obstructions
 
         chosen = bare_arena(level, set_ or ())
         fence = Fence.from_level(chosen)
@@ -54,5 +63,8 @@ def arena_check(
         except OSError as error:
             raise InputError(f"--out {out}: cannot write: {error.strerror}") from None
         typer.echo(f"Drawn to {out}")
+        if track is not None:
+            write_taped(track, nominal_track(chosen), chosen.name)
+            typer.echo(f"Nominal track written to {track}: correct x, y (m) and yaw (rad) in it")
     if problems:
         raise typer.Exit(EXIT_NOT_CLEAN)

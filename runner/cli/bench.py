@@ -24,20 +24,24 @@ from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import OPTION_HELP
 from crazyarena.runner.cli.options.stops import Waive, flight_stops
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
+from crazyarena.runner.cli.options.view import view_options
+from crazyarena.whole_file import write_whole
 
 if TYPE_CHECKING:
     from crazyarena.runner.rig.stops import StopOptions
     from crazyarena.runner.trial.options import FlightOptions
     from crazyarena.sim_backend.vehicles import VehicleChoice
+    from crazyarena.viewer_process import ViewOptions
 
 
 class CameraChoice(StrEnum):
-    """What the cameras speak."""
+    """What the cameras speak; ``onboard`` is a vehicle that knows its place by a deck."""
 
     ZENOH = "zenoh"
     QUALISYS = "qualisys"
     NATNET = "natnet"
     VRPN = "vrpn"
+    ONBOARD = "onboard"
 
 
 class LinkChoice(StrEnum):
@@ -51,7 +55,7 @@ def register(app: typer.Typer) -> None:
     app.command("bench")(bench)
 
 
-@takes(vehicle=vehicle_choice, options=flight_options, stops=flight_stops)
+@takes(vehicle=vehicle_choice, options=flight_options, stops=flight_stops, view=view_options)
 def bench(
     submission: AnySubmission = None,
     level: ArenaLevel = None,
@@ -72,7 +76,8 @@ def bench(
         float | None, typer.Option(min=10.0, max=500.0, metavar="HZ", help="Camera frames.")
     ] = None,
     mocap: Annotated[
-        CameraChoice, typer.Option(help="What the emulated cameras speak.")
+        CameraChoice,
+        typer.Option(help="What the cameras speak; onboard: none, but a deck."),
     ] = CameraChoice.ZENOH,
     mocap_option: Annotated[
         list[str] | None, typer.Option(metavar="KEY=VALUE", help=OPTION_HELP)
@@ -87,6 +92,7 @@ def bench(
     figure: Annotated[bool, typer.Option(help="Write figures.")] = True,
     waive: Waive = None,
     stops: Callable[[str], StopOptions],
+    view: Callable[[], ViewOptions | None],
 ) -> None:
     """Fly a virtual Crazyflie over UDP or radio with emulated cameras, in real time.
 
@@ -110,7 +116,7 @@ def bench(
         stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
         folder = out if out is not None else Path("runs") / f"{stamp}-bench-{loaded.name}"
         folder.mkdir(parents=True, exist_ok=True)
-        result = Bench(
+        run = Bench(
             submission,
             level,
             folder.resolve(),
@@ -130,13 +136,20 @@ def bench(
             stops=stops("bench"),
             vehicle=vehicle,
             spread=vehicle_spread,
-        ).run()
+            view=view(),
+        )
+        result = run.run()
         if result.comparison is not None:
             console.print(comparing.table(result.comparison))
             summary = {**result.comparison.summary(), "arenas": result.arenas}
-            (folder / "compare.json").write_text(json.dumps(summary, indent=2) + "\n")
+            write_whole(folder / "compare.json", json.dumps(summary, indent=2) + "\n")
             if figure:
                 comparing.save_figure(folder / "compare.png", result.comparison)
                 console.print(f"Figure: {folder / 'compare.png'}", highlight=False, soft_wrap=True)
+        for reason in (result.uncompared, result.aborted):
+            if reason is not None:
+                text = f"bench: {reason.removeprefix('compare: ')}"
+                console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
+        run.finish()
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)

@@ -11,6 +11,7 @@ import typer
 
 from crazyarena.errors import CrazyarenaError
 from crazyarena.plain_text import shown
+from crazyarena.whole_file import FULL, is_refusal
 
 EXIT_NOT_CLEAN = 1
 EXIT_BAD_INPUT = 2
@@ -18,12 +19,23 @@ EXIT_BAD_INPUT = 2
 
 @contextlib.contextmanager
 def bad_input_exits() -> Iterator[None]:
-    """Show a :class:`CrazyarenaError` as ``error: ...`` on stderr and exit with 2."""
+    """Show a :class:`CrazyarenaError` as ``error: ...`` on stderr and exit with 2.
+
+    The same for what a disk says that is full or not ours to write to.
+    """
     try:
         yield
     except CrazyarenaError as error:
-        typer.secho(f"error: {shown(str(error))}", err=True, fg=typer.colors.RED)
-        raise typer.Exit(EXIT_BAD_INPUT) from None
+        message = str(error)
+    except OSError as error:
+        if not is_refusal(error) or (error.filename is None and error.errno not in FULL):
+            raise
+        place = "a file" if error.filename is None else error.filename
+        message = f"{place}: {error.strerror}"
+    else:
+        return
+    typer.secho(f"error: {shown(message)}", err=True, fg=typer.colors.RED)
+    raise typer.Exit(EXIT_BAD_INPUT) from None
 
 
 AnySubmission = Annotated[

@@ -8,7 +8,9 @@ from typing import Annotated
 
 import typer
 
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.cli.common import bad_input_exits
+from crazyarena.whole_file import write_whole
 
 
 def register(app: typer.Typer) -> None:
@@ -58,11 +60,12 @@ def compare(
         console.print(result.advice(), highlight=False, markup=False, soft_wrap=True)
         folder = out if out is not None else Path.cwd()
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "compare.json").write_text(json.dumps(result.summary(), indent=2) + "\n")
+        write_whole(folder / "compare.json", json.dumps(result.summary(), indent=2) + "\n")
         if figure:
             comparing.save_figure(folder / "compare.png", result)
             console.print(f"Figure: {folder / 'compare.png'}", highlight=False, soft_wrap=True)
 
 
 def _name(group: list[Path]) -> str:
-    return group[0].name if len(group) == 1 else f"{group[0].name} ..."
+    name = shown_line(group[0].name)
+    return name if len(group) == 1 else f"{name} ..."

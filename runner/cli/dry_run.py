@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.cli.common import (
     EXIT_NOT_CLEAN,
     Secret,
@@ -16,17 +18,19 @@ from crazyarena.runner.cli.common import (
 from crazyarena.runner.cli.options.flight import Sandbox, flight_options
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
+from crazyarena.runner.cli.options.view import view_options
 
 if TYPE_CHECKING:
     from crazyarena.runner.trial.options import FlightOptions
     from crazyarena.sim_backend.vehicles import VehicleChoice
+    from crazyarena.viewer_process import ViewOptions
 
 
 def register(app: typer.Typer) -> None:
     app.command("dry-run")(dry_run)
 
 
-@takes(vehicle=vehicle_choice, options=flight_options)
+@takes(vehicle=vehicle_choice, options=flight_options, view=view_options)
 def dry_run(
     submission: Annotated[
         Path | None,
@@ -69,6 +73,16 @@ def dry_run(
             "the flight is still completed (arena levels; some 50 flights).",
         ),
     ] = False,
+    view: Callable[[], ViewOptions | None],
+    view_speed: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=1000.0,
+            help="With --view: times real time that the flight is shown at; 0 for as fast as it "
+            "goes.",
+        ),
+    ] = 1.0,
 ) -> None:
     """Fly a submission in simulation and judge it by the competition's rules.
 
@@ -83,7 +97,7 @@ def dry_run(
             if show(submission, level or "sim2real", set_ or [], seed, out, options, vehicle):
                 return
             raise typer.Exit(EXIT_NOT_CLEAN)
-        if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options):
+        if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options, view()):
             return
         from crazyarena.runner.dry_run import DryRun
         from crazyarena.runner.trial.entry import default_level
@@ -100,6 +114,8 @@ def dry_run(
             options=options,
             vehicle=vehicle,
             spread=vehicle_spread,
+            view=view(),
+            pace=view_speed if view() else 0.0,
         )
         result = run.run()
     if not result.clean:
@@ -115,12 +131,13 @@ def _flew_lsy(
     overrides: list[str],
     record: bool,
     options: FlightOptions,
+    view: ViewOptions | None,
 ) -> bool:
     """Fly a controller of lsy_drone_racing, told by its file; False if this is none."""
     looks_like = submission is not None or (level or "").endswith(".toml")
     if not looks_like and not (level or "").startswith("lsy/"):
         return False
-    from crazyarena.errors import InputError
+    from crazyarena.errors import InputError, StorageError
     from crazyarena.levels.lsy import is_lsy_level
 
     foreign = level is not None and is_lsy_level(level)
@@ -148,6 +165,16 @@ def _flew_lsy(
             f"level {level}: pass the file of a lsy_drone_racing controller, such as "
             "examples/racer_state/racer_state.py"
         )
+    if view is not None:
+        raise InputError(
+            "--view: flights of lsy_drone_racing are not shown live; leave it out, and then: "
+            "crazyarena replay with the results folder"
+        )
+    if options.budget != type(options.budget)():
+        raise InputError(
+            "--step-limit, --episode-limit, --trial-limit: levels of lsy_drone_racing have none of "
+            "them; leave them out"
+        )
     if options.compute not in (None, "free"):
         raise InputError(
             f"--compute {options.compute}: in lsy_drone_racing's simulation thinking costs no "
@@ -156,7 +183,6 @@ def _flew_lsy(
     options.check()
     from rich.console import Console
 
-    from crazyarena.runner.dry_run import results_folder
     from crazyarena.runner.lsy_run import LsyRun, tell
     from crazyarena.runner.records.report import NOT_ISOLATED
 
@@ -168,18 +194,22 @@ def _flew_lsy(
         episodes=episodes or 1,
         seed=seed,
         secret=options.secret,
+        out=out,
+        keep=True,
         record=record,
         sandbox=bool(options.sandbox) or options.require_sandbox,
         require_sandbox=options.require_sandbox,
         console=console,
     )
-    run.out = results_folder(out, submission, run.level.name)
     result = run.run()
     tell(result, console)
     if not run.isolated:
         console.print(NOT_ISOLATED, markup=False, highlight=False, soft_wrap=True)
+    where = shown_line(str(run.out))
     told = "The seed is secret" if options.secret else f"Seed {result.seed}"
-    console.print(f"{told}. Results in {run.out}", highlight=False, soft_wrap=True)
+    console.print(f"{told}. Results in {where}", highlight=False, markup=False, soft_wrap=True)
+    if result.cut_short is not None:
+        raise StorageError(result.cut_short)
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)
     return True

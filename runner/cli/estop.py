@@ -27,6 +27,12 @@ def estop(
     token: Annotated[
         Path | None, typer.Option(help="File with the shared secret, for --connect and --network.")
     ] = None,
+    land: Annotated[
+        bool,
+        typer.Option(
+            "--land", help="Have the watchdogs here land what flies, and cut nothing; local only."
+        ),
+    ] = False,
     test: Annotated[
         bool, typer.Option("--test", help="Rehearse: sessions answer, nothing is stopped.")
     ] = False,
@@ -37,16 +43,17 @@ def estop(
     those of everybody); those elsewhere with --connect or --network. Exit code: 0 when a vehicle's
     link confirmed (with --test: when a session answered), 1 when none did.
     """
-    from crazyarena.safety.estop_local import STOPPED, TESTED, stop_local
+    from crazyarena.safety.estop_local import LANDING, STOPPED, TESTED, stop_local
 
     found = answered = False
     with bad_input_exits():
         # The nearest first; nothing that could fail comes before it.
-        for name, answer in stop_local(reason, test, warn=_warn):
+        good = LANDING if land else TESTED if test else STOPPED
+        for name, answer in stop_local(reason, test, warn=_warn, land=land and not test):
             typer.echo(f"{name}: {answer}")
             answered = True
-            found = found or answer.startswith(TESTED if test else STOPPED)
-        if (connect or network) and not test:
+            found = found or answer.startswith(good)
+        if (connect or network) and not (test or land):
             from crazyarena.safety.estop_sources import stop_over_zenoh
             from crazyarena.safety.estop_token import read_secret
 

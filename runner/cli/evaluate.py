@@ -50,6 +50,7 @@ def evaluate(
 
         from rich.console import Console
 
+        from crazyarena.errors import StorageError
         from crazyarena.runner.lsy_run import ENOUGH, LsyRun, summary, tell
 
         console = Console(file=sys.stderr) if as_json else Console()
@@ -68,6 +69,8 @@ def evaluate(
         )
         result = run.run()
         tell(result, console)
+        if result.cut_short is not None:
+            raise StorageError(result.cut_short)
     enough = result.success_rate >= ENOUGH
     if as_json:
         document = {

@@ -24,10 +24,12 @@ from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import HOST_HELP, OPTION_HELP, SOURCE_HELP
 from crazyarena.runner.cli.options.stops import Waive, flight_stops
 from crazyarena.runner.cli.options.vehicle import VehicleSet, VehicleSpread
+from crazyarena.runner.cli.options.view import view_options
 
 if TYPE_CHECKING:
     from crazyarena.runner.rig.stops import StopOptions
     from crazyarena.runner.trial.options import FlightOptions
+    from crazyarena.viewer_process import ViewOptions
 
 
 class BackendChoice(StrEnum):
@@ -41,7 +43,7 @@ def register(app: typer.Typer) -> None:
     app.command("fly")(fly)
 
 
-@takes(options=flight_options, stops=flight_stops)
+@takes(options=flight_options, stops=flight_stops, view=view_options)
 def fly(
     submission: AnySubmission = None,
     level: ArenaLevel = None,
@@ -103,6 +105,7 @@ def fly(
     ] = True,
     waive: Waive = None,
     stops: Callable[[str], StopOptions],
+    view: Callable[[], ViewOptions | None],
 ) -> None:
     """Connect, check, survey the track, arm, fly, come home, land.
 
@@ -111,8 +114,9 @@ def fly(
     with bad_input_exits():
         from crazyarena.errors import InputError
         from crazyarena.levels.schema import Level
+        from crazyarena.mocap.onboard import KIND as ONBOARD
         from crazyarena.runner.fly import Fly
-        from crazyarena.runner.rig.cameras import named_source
+        from crazyarena.runner.rig.cameras import deck_of, named_source
         from crazyarena.runner.rig.rig import Rig, simulated
         from crazyarena.runner.trial.checklist import check_waivers
         from crazyarena.runner.trial.entry import default_level
@@ -133,6 +137,9 @@ def fly(
         name = body or f"cf{ident}"
         check_waivers(waive or (), name)
         stopped_by = stops(name)
+        source = (
+            None if mocap is None else named_source(mocap, mocap_host, mocap_option or [], real)
+        )
         if not real:
             # Simulated time runs faster than anybody's hand.
             if stopped_by != stopped_by.only_local():
@@ -147,23 +154,23 @@ def fly(
                     run.seed,
                     limits=limits,
                     supply=run.supply,
+                    deck=deck_of(source),
                     track=entry.track,
                     params=entry.params,
                 )
             from crazyarena.runner.rig.flight_process.client import connected
 
             assert uri is not None
-            assert mocap is not None
-            kind = mocap
+            assert source is not None
             return connected(
                 loaded,
                 uri,
-                named_source(kind, mocap_host, mocap_option or []),
+                source,
                 vehicle=ident,
                 body=body,
                 limits=limits,
                 real_time=real_time,
-                description={"mocap": kind, "mocap_host": mocap_host, "world": "arena"},
+                description={"mocap": source.kind, "mocap_host": mocap_host, "world": "arena"},
                 model=run.model,
                 plant_log=plant_log,
                 params=run.entry.params,
@@ -187,8 +194,11 @@ def fly(
             stops=stopped_by,
             waive=waive or (),
             uri=uri if real else None,
+            onboard=mocap == ONBOARD,
             vehicle=VehicleChoice(vehicle, tuple(vehicle_set or ())),
             spread=vehicle_spread,
+            view=view(),
+            pace=0.0 if real else 1.0,
         )
         result = run.run()
     if not result.clean:

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from crazyarena.runner.cli.common import bad_input_exits
+from crazyarena.whole_file import write_whole
 
 
 def register(app: typer.Typer) -> None:
@@ -86,9 +87,9 @@ def identify(
         vehicle = result.vehicle.model_copy(update={"name": _name(out)})
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
-            out.write_text(dump_vehicle(vehicle))
+            write_whole(out, dump_vehicle(vehicle))
             if summary is not None:
-                summary.write_text(json.dumps(report.summary(result), indent=2) + "\n")
+                write_whole(summary, json.dumps(report.summary(result), indent=2) + "\n")
         except OSError as error:
             raise InputError(f"--out {out}: cannot write there: {error.strerror}") from error
         console.print(f"Written to {out}. Fly it: --vehicle {out}", soft_wrap=True)

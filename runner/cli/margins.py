@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crazyarena.errors import InputError
+from crazyarena.whole_file import write_whole
 
 if TYPE_CHECKING:
     from crazyarena.runner.trial.options import FlightOptions
@@ -46,7 +47,7 @@ def show(
     if out is not None:
         try:
             out.mkdir(parents=True, exist_ok=True)
-            (out / "margins.json").write_text(json.dumps(result.summary(), indent=2) + "\n")
+            write_whole(out / "margins.json", json.dumps(result.summary(), indent=2) + "\n")
         except OSError as error:
             raise InputError(f"--out {out}: cannot write there: {error.strerror}") from error
     return result.completed

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from crazyarena.plain_text import shown
 from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
 from crazyarena.runner.cli.options.mocap import (
     HOST_HELP,
@@ -60,8 +61,8 @@ def mocap_check(
                     break
                 if now - told >= 1.0:
                     told = now
-                    typer.echo(report_lines(check.report(source.status, now - start))[0])
+                    typer.echo(shown(report_lines(check.report(source.status, now - start))[0]))
             report = check.report(source.status, clock.now() - start)
-        typer.echo("\n".join(report_lines(report)))
+        typer.echo(shown("\n".join(report_lines(report))))
         if not report.healthy:
             raise typer.Exit(EXIT_NOT_CLEAN)

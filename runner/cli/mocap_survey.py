@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from crazyarena.plain_text import shown
 from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
 from crazyarena.runner.cli.options.mocap import (
     HOST_HELP,
@@ -87,11 +88,11 @@ def mocap_survey(
                 f"{measured.spread * 1e3:.1f} mm"
             )
         if not report.accepted:
-            typer.echo("\n".join(report.problems))
+            typer.echo(shown("\n".join(report.problems)))
             raise typer.Exit(EXIT_NOT_CLEAN)
         blocked = [] if theirs else obstructions(flown, report.track())
         if blocked:
-            typer.echo("\n".join(blocked))
+            typer.echo(shown("\n".join(blocked)))
             raise typer.Exit(EXIT_NOT_CLEAN)
         write_track(output, report, level)
         typer.echo(f"measured track written to {output}")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, Overrides, bad_input_exits
+from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import HOST_HELP, OPTION_HELP, SOURCE_HELP
 from crazyarena.runner.cli.options.stops import (
     Gamepad,
@@ -18,15 +19,19 @@ from crazyarena.runner.cli.options.stops import (
     Waive,
     stop_options,
 )
+from crazyarena.runner.cli.options.vehicle import vehicle_choice
+from crazyarena.whole_file import write_whole
 
 if TYPE_CHECKING:
     from crazyarena.safety.preflight import Line
+    from crazyarena.sim_backend.vehicles import VehicleChoice
 
 
 def register(app: typer.Typer) -> None:
     app.command("preflight")(preflight)
 
 
+@takes(vehicle=vehicle_choice)
 def preflight(
     uri: Annotated[
         list[str] | None,
@@ -55,6 +60,8 @@ def preflight(
     stop_connect: StopConnect = None,
     stop_listen: StopListen = None,
     stop_token: StopToken = None,
+    *,
+    vehicle: VehicleChoice,
 ) -> None:
     """Check vehicles, cameras, arena and machine; red lines come with a remedy.
 
@@ -84,6 +91,7 @@ def preflight(
             stop_options(
                 gamepad, None, stop_network, stop_connect, stop_listen, stop_token, "preflight"
             ),
+            vehicle,
         )
         checklist = gather(
             wanted, lambda text: console.print(text, highlight=False, markup=False, soft_wrap=True)
@@ -108,9 +116,12 @@ def table(lines: list[Line]) -> Any:
     for name in ("", "line", "found", "remedy"):
         view.add_column(name)
     for line in lines:
-        word, style = (
-            ("ok", "green") if line.ok else ("waived", "yellow") if line.waived else ("no", "red")
-        )
+        if not line.checked:
+            word, style = "--", "yellow"
+        elif line.ok:
+            word, style = "ok", "green"
+        else:
+            word, style = ("waived", "yellow") if line.waived else ("no", "red")
         remedy = "" if line.ok else line.remedy
         view.add_row(Text(word, style), Text(line.name), Text(line.found), Text(remedy))
     return view
@@ -132,6 +143,6 @@ def _write(file: Path, wanted: Any, lines: list[Line], ready: bool) -> None:
         "lines": [asdict(line) for line in lines],
     }
     try:
-        file.write_text(json.dumps(document, indent=2) + "\n")
+        write_whole(file, json.dumps(document, indent=2) + "\n")
     except OSError as error:
         raise InputError(f"--report {file}: cannot write it: {error.strerror}") from None

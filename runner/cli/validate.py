@@ -11,6 +11,7 @@ import typer
 from crazyarena.runner.cli.common import bad_input_exits
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.vehicle import vehicle_choice
+from crazyarena.whole_file import write_whole
 
 if TYPE_CHECKING:
     from crazyarena.sim_backend.vehicles import VehicleChoice
@@ -84,7 +85,7 @@ def validate(
         try:
             folder.mkdir(parents=True, exist_ok=True)
             data = validating.summary(pairs, model, hover)
-            (folder / "validate.json").write_text(json.dumps(data, indent=2) + "\n")
+            write_whole(folder / "validate.json", json.dumps(data, indent=2) + "\n")
             if figure:
                 save_figure(folder / "validate.png", pairs, model)
         except OSError as error:

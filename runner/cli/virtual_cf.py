@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -15,9 +16,11 @@ from crazyarena.errors import CrazyarenaError, InputError
 from crazyarena.runner.cli.common import bad_input_exits
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.vehicle import vehicle_choice
+from crazyarena.runner.cli.options.view import view_options
 
 if TYPE_CHECKING:
     from crazyarena.sim_backend.vehicles import VehicleChoice
+    from crazyarena.viewer_process import ViewOptions
 
 _PROFILES = ("arena",)
 
@@ -26,7 +29,7 @@ def register(app: typer.Typer) -> None:
     app.command("virtual-cf")(virtual_cf)
 
 
-@takes(vehicle=vehicle_choice)
+@takes(vehicle=vehicle_choice, view=view_options)
 def virtual_cf(
     count: Annotated[int, typer.Option(help="How many vehicles.")] = 1,
     port: Annotated[int, typer.Option(help="UDP port of the first; 0 takes free ones.")] = 19850,
@@ -76,24 +79,33 @@ def virtual_cf(
         int, typer.Option(help="UDP port on which programs with virtual dongles find the air.")
     ] = 19840,
     table: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="Whose parameters and log variables: cf21 (Crazyflie 2.1 and 2.1+), cf21b "
-            "(2.1 Brushless) or recorded (a simulation build, for replaying its recordings)."
+            "(2.1 Brushless) or recorded (a simulation build, for replaying its recordings). "
+            "Default: by the vehicle."
         ),
-    ] = "cf21",
+    ] = None,
+    deck: Annotated[
+        str | None,
+        typer.Option(
+            help="Positioning deck on every vehicle, lighthouse or flow: they know their place by "
+            "themselves, with the errors of such a deck."
+        ),
+    ] = None,
     fleet: Annotated[
         str | None,
         typer.Option(
             metavar="YAML", help="Vehicle list of Crazyswarm: how many, their numbers and places."
         ),
     ] = None,
+    view: Callable[[], ViewOptions | None],
 ) -> None:
     """Run simulated Crazyflies in wall time, each on its own UDP port or on the air.
 
     Any CRTP client finds them, e.g. cflib with udp://127.0.0.1:19850; with --radio, any program
     under crazyarena with-virtual-radio, as radio://0/80/2M/E7E7E7E701. The estimator knows only
-    the poses that clients send (or --feed-poses). While it runs, standard input takes
+    the poses that clients send (or --feed-poses, or --deck). While it runs, standard input takes
     "loss 5%", "latency 8ms±3ms", "battery 3.2V", "cut 2s", "reboot" and "status", with --radio
     also "unplug 0", "plug 0" and "noise 80 30%"; "cf2 loss 5%" means that vehicle alone.
     Ends at Ctrl-C or SIGTERM.
@@ -108,6 +120,7 @@ def virtual_cf(
         from crazyarena.sim_backend.crtp.orders import status
 
         compile_missing(["arena"], Console(stderr=True))
+        viewer = view()
         running = build(
             Options(
                 count=count,
@@ -131,10 +144,22 @@ def virtual_cf(
                 dongles=dongles,
                 radio_port=radio_port,
                 table=table,
+                deck=deck,
                 fleet=fleet,
             )
         )
-    server = running.server
+        server = running.server
+        shown = None
+        if viewer is not None:
+            from crazyarena.runner.viewer.virtual_fleet import ShownFleet
+
+            try:
+                shown = ShownFleet(
+                    server.swarm.fleet, level, viewer, lambda text: typer.echo(text, err=True)
+                )
+            except BaseException:
+                running.close()
+                raise
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: server.stop())
     for uri in server.uris:
@@ -149,6 +174,8 @@ def virtual_cf(
         for line in status(server):
             typer.echo(line, err=True)
     finally:
+        if shown is not None:
+            shown.close()
         running.close()
 
 

@@ -7,6 +7,7 @@ once (``free``); the last two make a dry run repeatable to the bit.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import Protocol
@@ -29,6 +30,13 @@ class Budget:
     step: float = 30.0
     episode: float = 600.0
     trial: float = 3600.0
+
+    def check(self) -> None:
+        """Raise InputError for limits of no time."""
+        for name in ("step", "episode", "trial"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise InputError(f"--{name}-limit: found {value}; need seconds above 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,16 +68,18 @@ class Compute:
         return text if self.factor == 1.0 else f"{text} x {self.factor:g}"
 
 
-def parse_compute(text: str, factor: float = 1.0) -> Compute:
+def parse_compute(text: str, factor: float = 1.0, budget: Budget | None = None) -> Compute:
     """Read ``measured``, ``free`` or ``fixed=MS``; raises InputError for anything else."""
     if not 0.0 < factor <= 1000.0:
         raise InputError(f"compute factor: found {factor}; need a number above 0 (up to 1000)")
+    budget = budget or Budget()
+    budget.check()
     if text in (MEASURED, FREE):
-        return Compute(text, factor=factor)
+        return Compute(text, factor=factor, budget=budget)
     match = re.fullmatch(r"fixed=([0-9]*\.?[0-9]+)(ms)?", text)
     if match is None or float(match[1]) > 10_000.0:
         raise InputError(f"compute: found {text!r}; write measured, free or fixed=MS (fixed=5)")
-    return Compute(FIXED, float(match[1]) * 1e-3, factor)
+    return Compute(FIXED, float(match[1]) * 1e-3, factor, budget)
 
 
 class Waiter(Protocol):
@@ -103,26 +113,21 @@ class _VirtualWaiter:
         self._contestant = contestant
         self._clock = clock
         self._compute = compute
-        self._patience = patience  # s on the clock after which nobody waits any more
+        self._counted = compute.mode == MEASURED
+        # s of wall time for one answer: on the clock nobody waits longer than patience.
+        self._limit = patience / compute.factor if self._counted else compute.budget.step
         self._asked_at = 0.0
-        self._step = 0
         self._answer: Answer | None = None
         self._ready = float("inf")
 
     def asked(self, step: int) -> None:
-        self._step = step
         self._asked_at = self._clock.now()
-        self._answer = None
-        counted = self._compute.mode == MEASURED
-        limit = self._compute.budget.step
-        if counted:
-            limit = self._patience / self._compute.factor
+        limit = self._limit
         answer = self._contestant.wait(limit)
-        if answer is None and not counted:
-            text = f"step {self._step}: no answer within {limit:g} s of wall time"
-            answer = Answer(self._step, None, text, limit, timed_out=True)
+        if answer is None and not self._counted:
+            text = f"step {step}: no answer within {limit:g} s of wall time"
+            answer = Answer(step, None, text, limit, timed_out=True)
         self._answer = answer
-        self._ready = float("inf")
         if answer is not None:
             late = answer.timed_out
             self._ready = self._asked_at + (0.0 if late else self._compute.cost(answer.seconds))
@@ -131,9 +136,9 @@ class _VirtualWaiter:
         if self._answer is None or self._ready > deadline:
             self._clock.sleep_until(deadline)
             return None
-        self._clock.sleep_until(self._ready)
+        if self._ready > self._asked_at:
+            self._clock.sleep_until(self._ready)
         answer, self._answer = self._answer, None
-        self._ready = float("inf")
         return answer
 
 

@@ -23,21 +23,23 @@ Array = NDArray[np.float64]
 
 
 class Pilot:
-    """The controller object and how it is called; the same inside and outside of a sandbox."""
+    """The controller object and how it is called; the same inside and outside of a sandbox.
+
+    Attributes
+    ----------
+    learns: whether the controller that was made has ``interStepLearn``.
+    """
 
     def __init__(self, submission: Submission) -> None:
         self._submission = submission
         self._canvas = Canvas()
         self._controller: Any = None
+        self.learns = False
 
     def make(self, obs: list[Any], level: Level, start: Array) -> None:
         info = initial_info(level, self._canvas, start)
         self._controller = self._submission.make(list(obs), info, level.use_firmware, level.verbose)
-
-    @property
-    def learns(self) -> bool:
-        """Whether the controller has ``interStepLearn``."""
-        return hasattr(self._controller, "interStepLearn")
+        self.learns = hasattr(self._controller, "interStepLearn")
 
     def answer(self, question: Question, on_learned: Callable[[], None] = lambda: None) -> Answer:
         """Call the controller for one control step; never raises for its failures.

@@ -91,11 +91,13 @@ class TrialResult:
 
     isolated: the contestant was behind walls. Otherwise it could read what the judge knows and
     write what the judge says: good for one's own work, not for comparing with others.
+    cut_short: what ended it that was no part of the flight, such as a full disk.
     """
 
     episodes: list[EpisodeResult]
     requested: int
     isolated: bool = False
+    cut_short: str | None = None
 
     @property
     def clean(self) -> bool:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from crazyarena import whole_file
 from crazyarena.levels import Level
 from crazyarena.safety.fence import Fence
 
@@ -68,7 +69,7 @@ def save_arena(path: Path, level: Level, fence: Fence, height: float) -> None:
         view.set_aspect("equal")
     axes[0].legend(fontsize="small")
     figure.suptitle(f"{level.name}: hard fence, soft margin {fence.soft_margin:g} m")
-    figure.savefig(path, dpi=120)
+    whole_file.save_figure(figure, path, dpi=120)
 
 
 def _kind(fence: Fence, x: float, y: float, z: float) -> int:

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from crazyarena import whole_file
 from crazyarena.bounded_read import read_json
 from crazyarena.errors import InputError
-from crazyarena.plain_text import shown_line
+from crazyarena.plain_text import shown_line, unmarked
 from crazyarena.runner.records import export
 
 Array = NDArray[np.float64]
@@ -200,10 +201,12 @@ def _resampled(flight: Flight, time: Array) -> Array:
 def table(comparison: Comparison) -> Any:
     """Rich table of :meth:`Comparison.summary`."""
     from rich import box
+    from rich.markup import escape
     from rich.table import Table
 
     s = comparison.summary()
-    a, b = comparison.names
+    s["vehicles"] = list(map(escape, s["vehicles"]))
+    a, b = map(escape, comparison.names)
     shown = Table(box=box.SIMPLE, header_style="bold", show_header=True, pad_edge=False)
     shown.add_column(f"{b} against {a}")
     shown.add_column("", justify="right")
@@ -239,7 +242,7 @@ def save_figure(file: Path, comparison: Comparison) -> None:
     colours = ("tab:blue", "tab:red")
     for flights, colour, name in zip(comparison.groups, colours, comparison.names, strict=True):
         for i, flight in enumerate(flights):
-            label = f"{name} ({len(flights)})" if i == 0 else None
+            label = f"{unmarked(name)} ({len(flights)})" if i == 0 else None
             top.plot(*flight.position[:, :2].T, color=colour, lw=0.8, alpha=0.6, label=label)
     top.set_aspect("equal")
     top.set_xlabel("x [m]")
@@ -269,4 +272,4 @@ def save_figure(file: Path, comparison: Comparison) -> None:
     last.set_ylabel("distance [cm]")
     last.set_xlabel("time [s]")
     last.grid(True, alpha=0.3)
-    figure.savefig(file)
+    whole_file.save_figure(figure, file)

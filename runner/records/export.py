@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crazyarena.errors import InputError
-from crazyarena.plain_text import shown, shown_in, shown_line
+from crazyarena.plain_text import file_name, shown, shown_in, shown_line
+from crazyarena.whole_file import write_whole
 
 _FIELD = re.compile(r"^float64(?:\[(\d{1,6})\])?\s+(\w+)$", re.ASCII)
 _MOST_COLUMNS = 10_000
@@ -60,7 +61,10 @@ def recordings(run: Path) -> list[Path]:
         return [run]
     if not run.exists():
         raise InputError(f"{run}: no such file or folder. Pass a results folder or an .mcap file")
-    files = sorted([*run.glob("*.mcap"), *run.glob("*.mcap.part")])
+    whole = set(run.glob("*.mcap"))
+    # A process killed between finishing the one and removing the other leaves both.
+    parts = {part for part in run.glob("*.mcap.part") if part.with_suffix("") not in whole}
+    files = sorted(whole | parts)
     if not files:
         raise InputError(f"{run}: no .mcap recording in this folder (flown with --no-record?)")
     return files
@@ -138,7 +142,7 @@ def write_csv(recording: Recording, stem: Path) -> list[Path]:
     for topic, table in recording.tables.items():
         if not len(table):
             continue
-        file = stem.with_name(f"{stem.name}_{topic}.csv")
+        file = stem.with_name(f"{stem.name}_{file_name(topic)}.csv")
         header = ",".join(recording.columns[topic])
         np.savetxt(file, table, fmt="%.17g", delimiter=",", header=header, comments="")
         written.append(file)
@@ -147,15 +151,15 @@ def write_csv(recording: Recording, stem: Path) -> list[Path]:
     for e in recording.events:
         detail = str(e["detail"]).replace('"', '""')
         lines.append(f'{e["time"]!r},{e["tick"]},{e["event"]},"{detail}"')
-    file.write_text("\n".join(lines) + "\n")
+    write_whole(file, "\n".join(lines) + "\n")
     return [*written, file]
 
 
 def write_npz(recording: Recording, stem: Path) -> list[Path]:
     """``<stem>.npz`` with arrays ``<topic>``, ``<topic>_columns``, events and metadata."""
     file = stem.with_name(f"{stem.name}.npz")
-    arrays: dict[str, Any] = dict(recording.tables)
-    arrays |= {f"{topic}_columns": np.array(names) for topic, names in recording.columns.items()}
+    arrays: dict[str, Any] = {file_name(t): table for t, table in recording.tables.items()}
+    arrays |= {f"{file_name(t)}_columns": np.array(n) for t, n in recording.columns.items()}
     arrays["events_json"] = np.array(json.dumps(recording.events))
     arrays["metadata_json"] = np.array(json.dumps(recording.metadata))
     np.savez_compressed(file, **arrays)

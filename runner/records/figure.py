@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from crazyarena import whole_file
 from crazyarena.levels.schema import Level
 from crazyarena.plain_text import unmarked
 from crazyarena.runner.judging.result import EpisodeResult
@@ -110,4 +111,4 @@ def save_figure(
         if i == 0:
             axis.legend(loc="upper right", fontsize=8)
     axis.set_xlabel("time [s]")
-    figure.savefig(file)
+    whole_file.save_figure(figure, file)

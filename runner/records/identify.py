@@ -132,7 +132,7 @@ def _warnings(logs: Sequence[RealFlight]) -> list[str]:
                 f"{log.name}: a motor is at its full command for {100 * full:.0f} % of the time; "
                 "what it does there tells nothing of its strength"
             )
-        seconds = log.commands[-1][0] - log.commands[0][0]
+        seconds = log.end - log.start
         if seconds < 8.0:
             told.append(f"{log.name}: too short: {seconds:.1f} s; fly 20 s or more")
         elif _speed(log) < _FAST_PATH:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.records.identify import Identified
 
 _UNITS = {
@@ -20,6 +21,7 @@ _UNITS = {
 def tables(result: Identified) -> list[Any]:
     """Rich tables: what was found, what was not, and how well it predicts."""
     from rich import box
+    from rich.markup import escape
     from rich.table import Table
 
     def table(*columns: str) -> Table:
@@ -47,7 +49,7 @@ def tables(result: Identified) -> list[Any]:
         kept.add_row(name, why)
     errors = table("flight", "before", "after")
     for name, (before, after) in result.errors.items():
-        errors.add_row(name, f"{1e3 * before:.0f} mm", f"{1e3 * after:.0f} mm")
+        errors.add_row(escape(shown_line(name)), f"{1e3 * before:.0f} mm", f"{1e3 * after:.0f} mm")
     both = np.median(np.array(list(result.errors.values())), axis=0)
     errors.add_row("median", *(f"{1e3 * value:.0f} mm" for value in both), style="bold")
     return [found, kept, errors]

@@ -18,7 +18,7 @@ _PATIENCE = 30.0  # s for the disk to take the rest
 class PartFile:
     """Appends to a file, which is made at once.
 
-    What the disk refuses later ends it quietly: the whole recording is still in memory.
+    What the disk refuses later is kept in memory, and tried once more at the end.
 
     Parameters
     ----------
@@ -37,6 +37,7 @@ class PartFile:
     def __init__(self, path: Path, beginning: bytes) -> None:
         self.path = path
         self.trouble: OSError | None = None
+        self._refused: list[memoryview] = []
         path.write_bytes(beginning)
         self._stream = open(path, "ab", buffering=0)  # noqa: SIM115 - closed by close()
         self._queue: queue.SimpleQueue[tuple[bytes, bool] | None] = queue.SimpleQueue()
@@ -49,9 +50,21 @@ class PartFile:
 
     def close(self) -> None:
         """Wait until everything is written. Idempotent."""
+        if self._stream.closed:
+            return
         self._queue.put(None)
         self._thread.join(_PATIENCE)
         self._stream.close()
+
+    def close_complete(self) -> OSError | None:
+        """Close, after another try at what the disk has refused; returns what it still says."""
+        self._queue.put(None)
+        self._thread.join(_PATIENCE)
+        refused, self._refused, self.trouble = self._refused, [], None
+        for data in refused:
+            self._write(data)
+        self._stream.close()
+        return self.trouble
 
     def _run(self) -> None:
         in_flight = False
@@ -61,9 +74,13 @@ class PartFile:
                 # Not to be put aside by other programs while it holds the interpreter's lock.
                 in_flight = True
                 raise_priority(SERVING)
-            left = memoryview(data)
-            while left and self.trouble is None:
-                try:
-                    left = left[self._stream.write(left) :]
-                except OSError as error:
-                    self.trouble = error
+            self._write(memoryview(data))
+
+    def _write(self, left: memoryview) -> None:
+        while left and self.trouble is None:
+            try:
+                left = left[self._stream.write(left) :]
+            except OSError as error:
+                self.trouble = error
+        if left:
+            self._refused.append(left)

@@ -10,7 +10,6 @@ no wall-clock value: the same flight gives the same bytes.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
@@ -20,13 +19,14 @@ from numpy.typing import NDArray
 
 from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat import commands as cs
-from crazyarena.errors import InputError
+from crazyarena.errors import InputError, StorageError
 from crazyarena.runner.contestant.contract_2022.command_check import VERBS, Asked
 from crazyarena.runner.judging import verdict_row
 from crazyarena.runner.records import mcap_file
 from crazyarena.runner.records.part_file import PartFile
 from crazyarena.runner.timing.rows import Rows
 from crazyarena.sim_backend.trace import TR_TIME, TRACE_SIZE
+from crazyarena.whole_file import whole_file
 
 # Kinds of commands sent, by number: 0 is "nothing sent".
 SENT_KINDS: tuple[type, ...] = get_args(cs.Command)
@@ -150,14 +150,15 @@ def nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.uint64]:
 
 
 def _write_args(row: NDArray[np.float64], at: int, command: cs.Command | None) -> None:
+    if isinstance(command, cs.FullState):  # fills all of them
+        row[at : at + 3] = command.position
+        row[at + 3 : at + 6] = command.velocity
+        row[at + 6 : at + 9] = command.acceleration
+        row[at + 9] = command.yaw
+        row[at + 10 : at + 13] = command.omega
+        return
     row[at : at + _ARGS] = np.nan
     match command:
-        case cs.FullState():
-            row[at : at + 3] = command.position
-            row[at + 3 : at + 6] = command.velocity
-            row[at + 6 : at + 9] = command.acceleration
-            row[at + 9] = command.yaw
-            row[at + 10 : at + 13] = command.omega
         case cs.Takeoff() | cs.Land():
             row[at] = command.height
             row[at + 1] = command.duration
@@ -192,6 +193,11 @@ class Recorder:
     wall: clock that decides when to append to the ``.part`` file.
     logs: there is a channel for what the vehicle tells of itself.
 
+    Attributes
+    ----------
+    file: where the recording is: in the end the ``.part`` file if the disk refused the whole one.
+    trouble: that refusal in words, or None.
+
     Raises
     ------
     InputError: the ``.part`` file cannot be written.
@@ -212,6 +218,7 @@ class Recorder:
         self._wall = wall
         self._flush_period = flush_period
         self._flushed_at = wall.now()
+        self.trouble: str | None = None
         self._part: PartFile | None = None
         if file is not None:
             # Now, and not in flight: a thread is confined as the one that starts it.
@@ -332,29 +339,42 @@ class Recorder:
         self._on_disk = counts
 
     def close(self) -> None:
-        """Write the finished file and drop the ``.part`` file. Idempotent."""
+        """Write the finished file and drop the ``.part`` file. Idempotent.
+
+        Where the disk refuses, the ``.part`` file stays, with as much of the flight as it takes.
+        """
         if self._closed or self.file is None or self._part is None:
             return
         self._closed = True
         counts = self._counts()
-        unfinished = self.file.with_name(self.file.name + ".new")
-        with open(unfinished, "wb") as stream:
-            writer = mcap_file.McapWriter(stream, self._channels)
-            writer.metadata("crazyarena", self._metadata)
-            verbs = {f"asked {number}": name for name, number in VERBS.items()}
-            sent = set(self._commands.rows[:, _CM_SENT].tolist())
-            verbs |= {
-                f"sent {number}": kind.__name__
-                for kind, number in _KIND_NUMBER.items()
-                # Recordings without it stay as they always were.
-                if kind is not cs.RollPitchYawThrust or number in sent
-            }
-            writer.metadata("verbs", verbs)
-            writer.chunk(self._batches([0] * _VEHICLE, counts))
-            writer.finish()
-        os.replace(unfinished, self.file)
+        verbs = {f"asked {number}": name for name, number in VERBS.items()}
+        used = set(self._commands.rows[:, _CM_SENT].tolist())
+        verbs |= {
+            f"sent {number}": kind.__name__
+            for kind, number in _KIND_NUMBER.items()
+            # Recordings without it stay as they always were.
+            if kind is not cs.RollPitchYawThrust or number in used
+        }
+        try:
+            # What a loss of power takes of a dry run of 2022, flying it again gives back.
+            with whole_file(self.file, sync=self._channels is not CHANNELS) as stream:
+                writer = mcap_file.McapWriter(stream, self._channels)
+                writer.metadata("crazyarena", self._metadata)
+                writer.metadata("verbs", verbs)
+                writer.chunk(self._batches([0] * _VEHICLE, counts))
+                writer.finish()
+        except StorageError as error:
+            self._keep_part(error)
+            return
         self._part.close()
         self._part.path.unlink()
+
+    def _keep_part(self, error: StorageError) -> None:
+        assert self._part is not None
+        self.flush()
+        share = "the whole flight" if self._part.close_complete() is None else "its beginning"
+        self.file = self._part.path
+        self.trouble = f"{error}; {share} is in {self.file}, which exports as any recording"
 
     # What figures and reports need of the flight just recorded.
     @property

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import json
 import os
 import platform
 import sys
@@ -15,7 +14,6 @@ from typing import Any
 from crazyarena import __version__
 from crazyarena.levels import dump_level
 from crazyarena.levels.schema import Level
-from crazyarena.plain_text import shown_in
 from crazyarena.runner.judging.result import FORMAT, TrialResult
 
 NOT_ISOLATED = (
@@ -73,10 +71,14 @@ def provenance(level: Level, seed: int, submission: Path, digest: str) -> dict[s
     }
 
 
-def write_result(file: Path, result: TrialResult, origin: dict[str, Any]) -> None:
-    """Write ``result.json``; ``origin`` is what :func:`provenance` returns."""
-    document = {
+def result_document(
+    result: TrialResult, origin: dict[str, Any], finished: bool = True
+) -> dict[str, Any]:
+    """What ``result.json`` says; ``origin`` is what :func:`provenance` returns, ``finished``
+    False while further episodes are to come."""
+    return {
         "format": FORMAT,
+        "finished": finished,
         "clean": result.clean,
         "isolated": result.isolated,
         "requested_episodes": result.requested,
@@ -84,5 +86,3 @@ def write_result(file: Path, result: TrialResult, origin: dict[str, Any]) -> Non
         "episodes": [episode.as_dict() for episode in result.episodes],
         "provenance": origin,
     }
-    # A contestant's words are in there, and whoever reads it may print them.
-    file.write_text(json.dumps(shown_in(document), indent=2) + "\n")

@@ -162,7 +162,7 @@ def _rms(difference: Array) -> float:
 
 def _takeoff(flight: RealFlight, time: Array, position: Array) -> float:
     """s from the first command to 0.1 m above where it stood; NaN if it began or stayed there."""
-    start = flight.commands[0][0]
+    start = flight.start
     before = flight.pose.time <= start
     ground = float(np.median(flight.pose.value[before, 2])) if before.any() else position[0, 2]
     up = np.flatnonzero((time >= start) & (position[:, 2] > ground + _OFF_GROUND))
@@ -171,7 +171,7 @@ def _takeoff(flight: RealFlight, time: Array, position: Array) -> float:
 
 def _sag(flight: RealFlight, simulated: SimulatedFlight) -> tuple[float, float]:
     """V, of the real battery (NaN where not logged) and the simulated one."""
-    start = flight.commands[0][0]
+    start = flight.start
     time = simulated.time
     flown = (time > start + 3.0) & (time < start + 8.0)
     if not flown.any():

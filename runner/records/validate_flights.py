@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import InputError
 from crazyarena.runner.records import export
-from crazyarena.runner.records.recorder import SENT_KINDS
+from crazyarena.runner.records.validate_commands import end_of, read_commands, sent_command
+from crazyarena.runner.records.validate_units import check_units
 
 Array = NDArray[np.float64]
+Commands = tuple[tuple[float, c.Command], ...]
 
 CONTROLLERS = {"pid": 1, "mellinger": 2, "mell": 2}
 _FORMS = "recordings (.mcap), archives (.npz) or tables (.csv)"
@@ -65,7 +67,7 @@ class RealFlight:
     name: str
     file: Path
     pose: Series
-    commands: tuple[tuple[float, c.Command], ...]
+    commands: Commands
     setpoint: Series
     controller: int
     motors: Series = field(default=EMPTY)
@@ -74,6 +76,16 @@ class RealFlight:
     attitude: Series = field(default=EMPTY)
     gyro: Series = field(default=EMPTY)
     rotors: Series = field(default=EMPTY)
+
+    @property
+    def start(self) -> float:
+        """When the vehicle was first told to go somewhere, s."""
+        return self.commands[0][0]
+
+    @property
+    def end(self) -> float:
+        """When the last of it was flown, s."""
+        return end_of(self.commands)
 
 
 def find(paths: Sequence[Path]) -> list[Path]:
@@ -163,13 +175,33 @@ def _npz(file: Path, controller: str | None, high_level: bool) -> RealFlight:
         key = next(((key, scale) for key, scale in names if key in held), None)
         if key is not None:
             fields[name] = _npz_field(file, held, key, columns, unit, time)
-    for name in ("position", "setpoint"):
+    commands = _npz_commands(file, held)
+    for name in ("position",) if commands else ("position", "setpoint"):
         if name not in fields:
             wanted = " or ".join(key for key, _ in _NPZ[name][0])
+            wanted += " (or command and command_t)" if name == "setpoint" else ""
             found = ", ".join(held) or "nothing"
             raise InputError(f"{file}: {name}: missing; expected an array {wanted}, found {found}")
     told = str(held["controller"]) if "controller" in held else None
-    return _assemble(file, fields, _controller(file, controller, told), high_level)
+    return _assemble(file, fields, _controller(file, controller, told), high_level, commands)
+
+
+def _npz_commands(file: Path, held: dict[str, Any]) -> Commands:
+    """What a script told the planner on board, where the archive says."""
+    if "command" not in held:
+        return ()
+    if "command_t" not in held:
+        raise InputError(f"{file}: command_t: missing; expected the times of command, in s")
+    words = np.asarray(held["command"]).reshape(-1)
+    times = _numbers(file, "command_t", held["command_t"]).reshape(-1)
+    if words.dtype.kind != "U" or len(words) != len(times):
+        raise InputError(
+            f"{file}: command: expected texts, as many as command_t ({len(times)}), found "
+            f"{words.shape} of {words.dtype}"
+        )
+    return read_commands(
+        file, [(float(times[k]), str(words[k]), f"command[{k}]") for k in range(len(words))]
+    )
 
 
 def _npz_time(file: Path, held: dict[str, Any]) -> Array:
@@ -250,6 +282,7 @@ def _csv(file: Path, controller: str | None, high_level: bool) -> RealFlight:
     names = [name.strip().lstrip("#").strip() for name in rows[0]]
     table = np.full((len(rows) - 1, len(names)), np.nan)
     told = None
+    words: list[tuple[int, str]] = []
     for number, row in enumerate(rows[1:], 2):
         if not row:
             continue
@@ -258,6 +291,9 @@ def _csv(file: Path, controller: str | None, high_level: bool) -> RealFlight:
         for at, text in enumerate(row):
             if names[at] == "controller":
                 told = text or told
+            elif names[at] == "command":
+                if text.strip():
+                    words.append((number, text.strip()))
             elif text.strip():
                 try:
                     table[number - 2, at] = float(text)
@@ -278,14 +314,17 @@ def _csv(file: Path, controller: str | None, high_level: bool) -> RealFlight:
         if form is not None:
             value = np.stack([column[form.format(axis)][timed] for axis in axes], axis=-1)
             fields[name] = _csv_field(name, form, Series(time, value))
-    for name in ("position", "setpoint"):
+    commands = read_commands(
+        file, [(float(column[key][n - 2]), text, f"line {n}, command") for n, text in words]
+    )
+    for name in ("position",) if commands else ("position", "setpoint"):
         if name not in fields:
             axes, forms = _AXES[name]
             wanted = " or ".join(", ".join(f.format(a) for a in axes) for f in forms[:2])
             raise InputError(
                 f"{file}: {name}: missing; expected columns {wanted}, found {', '.join(names)}"
             )
-    return _assemble(file, fields, _controller(file, controller, told), high_level)
+    return _assemble(file, fields, _controller(file, controller, told), high_level, commands)
 
 
 def _csv_field(name: str, form: str, series: Series) -> Series:
@@ -304,19 +343,46 @@ def _csv_field(name: str, form: str, series: Series) -> Series:
 
 
 def _assemble(
-    file: Path, fields: dict[str, Series], controller: int, high_level: bool
+    file: Path,
+    fields: dict[str, Series],
+    controller: int,
+    high_level: bool,
+    told: Commands = (),
 ) -> RealFlight:
+    """The flight; ``told`` was told to the planner on board, and is flown instead of setpoints."""
     pose = fields["position"]
     seen = np.isfinite(pose.value).all(axis=1)
     pose = Series(pose.time[seen], pose.value[seen])
-    setpoint = fields["setpoint"]
-    given = np.isfinite(setpoint.value).all(axis=1)
-    target = Series(setpoint.time[given], setpoint.value[given])
+    check_units(file, {name: (series.time, series.value) for name, series in fields.items()})
+    target = fields.get("setpoint", EMPTY)
+    if len(target):
+        given = np.isfinite(target.value).all(axis=1)
+        target = Series(target.time[given], target.value[given])
     for name, series in (("position", pose), ("setpoint", target)):
-        if len(series) < _SHORTEST:
+        if len(series) < _SHORTEST and not (name == "setpoint" and told):
             raise InputError(
                 f"{file}: {name}: expected at least {_SHORTEST} samples, found {len(series)}"
             )
+    return RealFlight(
+        file.stem,
+        file,
+        pose,
+        told or tuple(_streamed(target, fields, high_level)),
+        target,
+        controller,
+        motors=fields.get("motors", EMPTY),
+        volts=_flat(fields.get("volts", EMPTY)),
+        acceleration=fields.get("accelerometer", EMPTY),
+        attitude=fields.get("attitude", EMPTY),
+        gyro=fields.get("gyro", EMPTY),
+        rotors=fields.get("rotors", EMPTY),
+    )
+
+
+def _streamed(
+    target: Series, fields: dict[str, Series], high_level: bool
+) -> list[tuple[float, c.Command]]:
+    """Logged setpoints as the commands they were."""
     velocity, acceleration = fields.get("velocity"), fields.get("acceleration")
     if high_level and velocity is None:
         velocity, acceleration = _derivatives(target)
@@ -341,20 +407,7 @@ def _assemble(
                     ),
                 )
             )
-    return RealFlight(
-        file.stem,
-        file,
-        pose,
-        tuple(commands),
-        target,
-        controller,
-        motors=fields.get("motors", EMPTY),
-        volts=_flat(fields.get("volts", EMPTY)),
-        acceleration=fields.get("accelerometer", EMPTY),
-        attitude=fields.get("attitude", EMPTY),
-        gyro=fields.get("gyro", EMPTY),
-        rotors=fields.get("rotors", EMPTY),
-    )
+    return commands
 
 
 def _flat(series: Series) -> Series:
@@ -391,7 +444,7 @@ def _mcap(file: Path, controller: str | None, high_level: bool) -> RealFlight:
     commands: list[tuple[float, c.Command]] = []
     targets: list[tuple[float, Array]] = []
     for row in sent:
-        command = _sent(int(row[kind]), row[first:])
+        command = sent_command(int(row[kind]), row[first:])
         if command is not None:
             commands.append((float(row[0]), command))
             if isinstance(command, c.FullState | c.Position):
@@ -425,30 +478,3 @@ def _told(recording: export.Recording) -> dict[str, Series]:
         "motors": Series(time, rows[:, 2:6]),
         "acceleration": Series(time, rows[:, 6:9]),
     }
-
-
-def _sent(kind: int, args: Array) -> c.Command | None:
-    if not 1 <= kind <= len(SENT_KINDS):
-        return None
-    position = tuple(float(value) for value in args[:3])
-    match SENT_KINDS[kind - 1]:
-        case c.FullState:
-            velocity, acceleration, omega = (
-                tuple(float(value) for value in args[at : at + 3]) for at in (3, 6, 10)
-            )
-            return c.FullState(position, velocity, acceleration, float(args[9]), omega)
-        case c.Position:
-            return c.Position(position, float(args[3]))
-        case c.VelocityWorld:
-            return c.VelocityWorld(position, float(args[3]))
-        case c.Takeoff | c.Land as verb:
-            yaw = None if np.isnan(args[2]) else float(args[2])
-            return verb(float(args[0]), float(args[1]), yaw=yaw)
-        case c.GoTo:
-            return c.GoTo(position, float(args[3]), float(args[4]), relative=bool(args[5]))
-        case c.NotifySetpointsStop:
-            return c.NotifySetpointsStop()
-        case c.Stop:
-            return c.Stop()
-        case _:
-            return None

@@ -1,7 +1,8 @@
 """Real flights flown again: logged setpoints through simulated firmware and plant.
 
 The simulated vehicle stands where the real one stood, hears what the real one was told when it
-was told, and is seen by cameras whenever the real one was seen: a frame for every logged pose.
+was told, and is seen by cameras whenever the real one was seen: a frame for every logged pose,
+but 125 a second at most.
 Nothing else of the flight is told to the simulation, and nothing is fitted but the thrust it
 takes to hover (:func:`hover_strength`), which motors, battery and accelerometer tell.
 """
@@ -31,6 +32,7 @@ _STAND = 0.3  # m: a vehicle that begins higher is in the air
 _BOOT = 2.0  # s on the ground before the first command
 _CLIMB = 6.0  # s that a flight whose log begins in the air is given to get there
 _STEP = 0.01  # s
+_FRAME = 0.008  # s, at least, between frames: logs on board repeat what ground stations send
 _SIGHT = 0.01  # s from exposure of the cameras to the estimator
 
 
@@ -50,7 +52,7 @@ class SimulatedFlight:
 
 def judged(flight: RealFlight, time: Array) -> NDArray[np.bool_]:
     """Which times count: not take-off and landing, unless the log is too short for that."""
-    first, last = flight.commands[0][0], flight.commands[-1][0]
+    first, last = flight.start, flight.end
     inside: NDArray[np.bool_] = (time > first + SETTLE) & (time < last - LEAD_OUT)
     return inside if inside.sum() * 2 > len(time) * 0.1 else (time >= first) & (time <= last)
 
@@ -99,7 +101,7 @@ def fly(flight: RealFlight, rows: Rows, strength: float = 1.0) -> SimulatedFligh
 class _Replay:
     def __init__(self, flight: RealFlight, rows: Rows) -> None:
         self.flight = flight
-        start = flight.commands[0][0]
+        start = flight.start
         before = flight.pose.time <= start
         ground = flight.pose.value[before] if before.any() else flight.pose.value[:1]
         x, y, _ = (float(value) for value in ground[-1])
@@ -127,13 +129,14 @@ class _Replay:
     def run(self, strength: float) -> SimulatedFlight:
         flight, fleet = self.flight, self.fleet
         self._prepare()
-        start = flight.commands[0][0]
+        start = flight.start
         base = fleet.tick
         poses = flight.pose.time[(flight.pose.time >= start)]
-        poses = poses[poses <= flight.commands[-1][0]]
+        poses = poses[poses <= flight.end]
         seen, volts = np.empty((len(poses), 3)), np.empty(len(poses))
         commands = iter([*flight.commands, (np.inf, None)])
         due, command = next(commands)
+        framed = -np.inf
         for k, time in enumerate(poses):
             # What falls on the same millisecond: first the frame, then the command.
             while command is not None and due < time:
@@ -141,7 +144,9 @@ class _Replay:
                 self._send(command)
                 due, command = next(commands)
             self._advance(base, time - start)
-            seen[k] = self._frame()
+            due_frame = time - framed >= _FRAME
+            framed = time if due_frame else framed
+            seen[k] = self._frame() if due_frame else self._body().position
             volts[k] = fleet.bodies[0, ap.AB_VOLTS]
         return SimulatedFlight(poses, seen, volts, strength)
 
@@ -166,7 +171,11 @@ class _Replay:
 
     def _frame(self) -> Array:
         """Let the cameras see the vehicle; where they see the tracked body."""
+        body = self._body()
+        self.fleet.external_pose(0, body, _SIGHT)
+        return body.position
+
+    def _body(self) -> Pose:
+        """Of the tracked body."""
         pose = self.fleet.true_pose(0)
-        body = pose.position + rotate(pose.quaternion, self.offset)
-        self.fleet.external_pose(0, Pose(body, pose.quaternion), _SIGHT)
-        return body
+        return Pose(pose.position + rotate(pose.quaternion, self.offset), pose.quaternion)

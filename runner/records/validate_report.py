@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from crazyarena import whole_file
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.records.validate import PURE_DELAY, Pair, medians
 from crazyarena.sim_backend.vehicles import Vehicle
 
@@ -69,7 +71,10 @@ def tables(pairs: Sequence[Pair], vehicle: Vehicle) -> list[Any]:
 
 
 def _short(name: str) -> str:
-    return name if len(name) <= _NAME else name[: _NAME - 1] + "…"
+    from rich.markup import escape
+
+    name = shown_line(name)
+    return escape(name) if len(name) <= _NAME else escape(name[: _NAME - 1]) + "…"
 
 
 def _number(value: float) -> str:
@@ -91,7 +96,7 @@ def save_figure(file: Path, pairs: Sequence[Pair], vehicle: Vehicle) -> None:
         o, time = pair.outcome, pair.simulated.time
         real = pair.real.pose.at(time)
         simulated = pair.simulated.position
-        start = pair.real.commands[0][0]
+        start = pair.real.start
         target = pair.real.setpoint
         if len(target):
             top.plot(*target.value[:, :2].T, color="0.8", lw=0.8)
@@ -116,5 +121,5 @@ def save_figure(file: Path, pairs: Sequence[Pair], vehicle: Vehicle) -> None:
     for axis, label in zip(axes[-1], ("x, m", "time, s", "time, s"), strict=True):
         axis.set_xlabel(label, fontsize=8)
     figure.suptitle(f"{vehicle.name} against real flights", fontsize=10)
-    figure.savefig(file, dpi=100)
+    whole_file.save_figure(figure, file, dpi=100)
     plt.close(figure)

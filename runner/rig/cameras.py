@@ -7,6 +7,8 @@ from typing import Any
 
 from crazyarena.clock import Clock
 from crazyarena.errors import InputError
+from crazyarena.mocap.onboard import KIND as ONBOARD
+from crazyarena.mocap.onboard import certainty
 from crazyarena.mocap.opening import SourceSpec
 from crazyarena.mocap.source import PoseSource
 
@@ -18,6 +20,8 @@ _NUMBERS = (
     "assemble",
     "release_after",
     "speed",
+    "position_std",
+    "velocity_std",
 )
 
 
@@ -44,9 +48,19 @@ def numeric(options: dict[str, Any]) -> dict[str, Any]:
     return options
 
 
-def named_source(kind: str, host: str | None, pairs: Sequence[str]) -> SourceSpec:
-    """The source of ``--mocap``, ``--host`` and ``--option``, to be opened."""
+def named_source(
+    kind: str, host: str | None, pairs: Sequence[str], real: bool = True
+) -> SourceSpec:
+    """The source of ``--mocap``, ``--host`` and ``--option``, to be opened; or, not ``real``, to
+    be simulated."""
     options: dict[str, Any] = dict(parse_options(pairs))
+    if kind == ONBOARD:
+        if host is not None:
+            raise InputError("--mocap onboard: has no host; the vehicle's link is --uri")
+        options = numeric(options)
+        own = options if real else {k: v for k, v in options.items() if k != "deck"}
+        certainty(False, own)  # here, and not in another process
+        return SourceSpec(kind, options)
     if kind in ("zenoh", "ros2"):
         for key in ("connect", "listen"):
             if key in options:
@@ -56,6 +70,13 @@ def named_source(kind: str, host: str | None, pairs: Sequence[str]) -> SourceSpe
     elif host is not None and kind != "replay":
         options["hostname"] = host
     return SourceSpec(kind, numeric(options))
+
+
+def deck_of(source: SourceSpec | None) -> str | None:
+    """The deck that is to be simulated, ``--mocap-option deck=``; None for cameras."""
+    if source is None or source.kind != ONBOARD:
+        return None
+    return str(source.options.get("deck", "lighthouse"))
 
 
 def open_named_source(

@@ -16,7 +16,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,20 +27,24 @@ from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.config import FleetConfig
 from crazyarena.crazyswarm_compat.guard import FlightEnded
 from crazyarena.crazyswarm_compat.options import warn
+from crazyarena.crazyswarm_compat.registry import SimOptions
 from crazyarena.errors import BackendError, InputError
 from crazyarena.levels import load_arena
 from crazyarena.mocap.camera_model import CameraModel
 from crazyarena.mocap.estimator import BodyEstimate, FrameResult, PoseEstimator
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.mocap.sim_source import SimSource
+from crazyarena.runner.rig.flight_model import flight_model, gentlest, known
 from crazyarena.runner.rig.safeguard import LANDING, TICK
 from crazyarena.safety.estop import EmergencyStop, interrupt_policy
 from crazyarena.safety.estop_socket import SocketSource
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.flight_model import PID
 from crazyarena.safety.gate import CommandGate, Policy, Refused
-from crazyarena.safety.limits import BRAKING, PID_BRAKING, Limits
+from crazyarena.safety.limits import LIMIT_NAMES, Limits
 from crazyarena.safety.watchdog import Watchdog
+from crazyarena.sim_backend.vehicles import DEFAULT_VEHICLE, load_vehicle
 from crazyarena.types import Pose, PoseFrame, Telemetry, VehicleState
 
 _CAMERA_RATE = 100.0  # Hz, in simulation
@@ -72,7 +76,6 @@ class GuardOptions:
         """Read the text; raises InputError naming the key."""
         arena, *items = [part.strip() for part in text.split(",")]
         policy, seed, limits = Policy.CLAMP, 0, dict[str, Any]()
-        names = {field.name for field in fields(Limits)}
         for item in items:
             key, _, value = item.partition("=")
             try:
@@ -82,7 +85,7 @@ class GuardOptions:
                     seed = int(value)
                 elif key in _SWITCHES:
                     limits[key] = {"true": True, "false": False}[value]
-                elif key in names:
+                elif key in LIMIT_NAMES:
                     limits[key] = float(value)
                 else:
                     raise InputError(
@@ -122,6 +125,7 @@ class GuardedFleet:
     text: see :class:`GuardOptions`.
     link: open, and owned from now on.
     clock: session clock; a virtual one makes a simulation.
+    flown: which vehicle flies, instead of those of the fleet.
 
     Raises
     ------
@@ -129,10 +133,22 @@ class GuardedFleet:
         for a wrong text or arena, or vehicles that do not start inside the arena.
     """
 
-    def __init__(self, text: str, fleet: FleetConfig, link: Backend, clock: Clock) -> None:
+    def __init__(
+        self,
+        text: str,
+        fleet: FleetConfig,
+        link: Backend,
+        clock: Clock,
+        flown: SimOptions | None = None,
+    ) -> None:
         options = GuardOptions.parse(text)
         arena, level = load_arena(options.arena)
         self.fence = Fence.from_arena(arena, level)
+        self.scene = {
+            "title": options.arena,
+            "arena": arena.model_dump(mode="json", exclude_none=True),
+        }
+        """What of it a viewer can show, as plain data."""
         self._names = {vehicle.id: vehicle.name for vehicle in fleet.vehicles}
         _check_starts(fleet, self.fence, options.arena)
         self._link = link
@@ -153,7 +169,7 @@ class GuardedFleet:
             link,
             self.fence,
             clock,
-            self._limits(options.limits),
+            self._limits(options.limits, fleet, flown or SimOptions()),
             options.policy,
             state=self._believed,
             on_event=self._note,
@@ -168,18 +184,22 @@ class GuardedFleet:
                 self._simulate(clock, options.seed, undo)
             self._undo = undo.pop_all()
 
-    def _limits(self, given: Mapping[str, Any]) -> Limits:
-        limits = replace(Limits(), **given)
-        if "braking" not in given:
-            gentlest = min(map(self._braking, self._link.vehicles), default=limits.braking)
-            limits = replace(limits, braking=min(gentlest, limits.braking))
-        return limits
+    def _limits(self, given: Mapping[str, Any], fleet: FleetConfig, flown: SimOptions) -> Limits:
+        """Those of the vehicle that stops latest, but for what somebody has set."""
+        models = []
+        for vehicle in fleet.vehicles:
+            model = load_vehicle(
+                flown.vehicle or vehicle.vehicle or DEFAULT_VEHICLE, flown.vehicle_set
+            )
+            controller = self._controller(vehicle.id)
+            models.append(flight_model(model, controller, vehicle.firmware_params))
+        return gentlest(models, replace(Limits(), **given), keep=given)
 
-    def _braking(self, vehicle: int) -> float:
-        """m/s2, of the controller that the vehicle has; the gentlest if nobody knows it."""
+    def _controller(self, vehicle: int) -> int:
+        """The controller that the vehicle has; the gentlest if nobody knows it."""
         with suppress(BackendError):
-            return BRAKING.get(int(self._link.get_param(vehicle, _CONTROLLER)), PID_BRAKING)
-        return PID_BRAKING
+            return known(self._link.get_param(vehicle, _CONTROLLER))
+        return PID
 
     # What watches
 
@@ -426,6 +446,12 @@ def _check_starts(fleet: FleetConfig, fence: Fence, arena: str) -> None:
             )
 
 
-def open_guard(arena: str, fleet: FleetConfig, link: Backend, clock: Clock) -> GuardedFleet:
+def open_guard(
+    arena: str,
+    fleet: FleetConfig,
+    link: Backend,
+    clock: Clock,
+    options: SimOptions | None = None,
+) -> GuardedFleet:
     """Factory named in the registry of backends."""
-    return GuardedFleet(arena, fleet, link, clock)
+    return GuardedFleet(arena, fleet, link, clock, options)

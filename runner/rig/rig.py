@@ -25,6 +25,8 @@ from crazyarena.mocap.source import PoseSource
 from crazyarena.runner.rig.safeguard import Safeguard
 from crazyarena.runner.rig.watch import Guard
 from crazyarena.safety.limits import Limits
+from crazyarena.safety.own_estimate import OwnEstimate
+from crazyarena.types import Pose
 
 if TYPE_CHECKING:
     from crazyarena.sim_backend.arena_world import AnyTrack
@@ -64,8 +66,11 @@ class Rig:
     safeguard: None when nobody guards.
     pipeline: fed by whoever lets time pass: a thread, or the virtual clock.
     stage: called with the draw of an episode before it; what people do by hand in an arena.
+    taped: poses of the track as people have measured it by other means than cameras, or None.
     renews: ``stage`` switches the vehicle off and on, so that whatever became of it in an episode
         does not keep it from the next.
+    onboard: how the vehicle knows its place, if the poses are its own estimate; None where
+        cameras see it.
     description: for the report.
     lost: why vehicle and cameras are out of reach for good, or None.
     """
@@ -81,7 +86,9 @@ class Rig:
     description: dict[str, object] = field(default_factory=dict)
     closers: list[Callable[[], None]] = field(default_factory=list)
     lost: Callable[[], str | None] = lambda: None
+    taped: Callable[[], dict[str, Pose] | None] = lambda: None
     renews: bool = False
+    onboard: OwnEstimate | None = None
 
     def close(self) -> None:
         """Release everything, last built first; idempotent."""
@@ -95,16 +102,20 @@ def make_pipeline(
     backend: Backend,
     bodies: dict[str, int],
     threaded: bool,
+    forward: bool = True,
 ) -> tuple[PosePipeline, FrameListeners]:
-    """Pipeline that forwards the poses of ``bodies`` (name to vehicle id) to the vehicles."""
+    """Pipeline that forwards the poses of ``bodies`` (name to vehicle id) to the vehicles; not
+    those that they have told themselves (``forward`` False)."""
     listeners = FrameListeners()
-    forwarder = PoseForwarder(
-        bodies,
-        backend.send_external_poses,
-        clock,
-        rate=EXTERNAL_POSE_RATE,
-        threaded=threaded,
-    )
+    forwarder = None
+    if forward:
+        forwarder = PoseForwarder(
+            bodies,
+            backend.send_external_poses,
+            clock,
+            rate=EXTERNAL_POSE_RATE,
+            threaded=threaded,
+        )
     pipeline = PosePipeline(
         source,
         PoseEstimator(tuple(bodies)),
@@ -123,13 +134,15 @@ def simulated(
     limits: Limits | None = None,
     guarded: bool = True,
     supply: VehicleSupply | None = None,
+    deck: str | None = None,
     track: Callable[[Draw], AnyTrack] | None = None,
     params: Mapping[str, float] | None = None,
 ) -> Rig:
     """The rig of a dry run: everything in this process, in virtual time.
 
-    ``supply`` is of the vehicles that fly; that of the level if not given. ``track`` builds the
-    track of a draw, and ``params`` are written to the vehicle, as
+    ``supply`` is of the vehicles that fly; that of the level if not given. With a positioning
+    ``deck`` there are no cameras, and what is known of the vehicle is its own estimate. ``track``
+    builds the track of a draw, and ``params`` are written to the vehicle, as
     :class:`~crazyarena.sim_backend.arena_world.SimulatedArena` takes them.
     """
     from crazyarena.sim_backend.arena_world import SimulatedArena, motions
@@ -144,9 +157,14 @@ def simulated(
         motions=motions(level),
         supply=supply,
         nominal=level.vehicle,
+        deck=deck,
         track=track,
         params=params,
     )
+    onboard = None
+    if deck is not None:
+        vehicle = arena.vehicle
+        onboard = OwnEstimate.of(lambda name: arena.link.get_param(vehicle, name), {})
     safeguard = None
     backend: Backend = arena.link
     if guarded:
@@ -158,10 +176,16 @@ def simulated(
             arena.body,
             limits=limits,
             feed=arena.link.feed_watchdog,
+            independent=onboard is None,
         )
         backend = safeguard.gate.runner
     pipeline, listeners = make_pipeline(
-        arena.source, arena.clock, backend, {arena.body: arena.vehicle}, threaded=False
+        arena.source,
+        arena.clock,
+        backend,
+        {arena.body: arena.vehicle},
+        threaded=False,
+        forward=onboard is None,
     )
     if safeguard is not None:
         safeguard.watch(pipeline)
@@ -211,11 +235,13 @@ def simulated(
             "backend": "sim",
             "vehicle": supply.vehicle.name,
             "vehicles": flown,
-            "mocap": "sim",
+            "mocap": "sim" if deck is None else f"onboard ({deck})",
             "mocap_rate": model.rate,
             "mocap_latency": model.latency,
             "mocap_position_noise": model.position_noise,
         },
         [arena.close, pipeline.close, *([] if safeguard is None else [safeguard.close])],
         renews=True,
+        onboard=onboard,
+        taped=arena.track_poses if deck is not None else lambda: None,
     )

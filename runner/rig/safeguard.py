@@ -16,6 +16,7 @@ from crazyarena.runner.rig.stops import StopOptions, Stops, open_stops
 from crazyarena.safety.estop import EmergencyStop, Hold, say_loudly
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.flight_model import FlightModel
 from crazyarena.safety.gate import CommandGate
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.watchdog import Watchdog
@@ -25,10 +26,13 @@ LANDING = 20.0  # s, for the watchdog to bring a vehicle down
 TICK = 0.02  # s
 
 
-def limits_for(rate: float, max_misses: int) -> Limits:
-    """Default limits, with the runner's own patience for a contestant that does not answer."""
+def limits_for(rate: float, max_misses: int, vehicle: FlightModel | None = None) -> Limits:
+    """Limits of a vehicle, the default one if none is given, with the runner's own patience for
+    a contestant that does not answer."""
     hold = (max_misses + 2) / rate
     default = Limits()
+    if vehicle is not None:
+        default = default.for_vehicle(vehicle)
     return replace(
         default,
         controller_hold=max(default.controller_hold, hold),
@@ -44,6 +48,7 @@ class Safeguard:
     backend: the vehicle link itself.
     feed: feeds the vehicle's own emergency-stop watchdog; None if it has none.
     dead_man: what the operator holds while the vehicle flies; None for nothing.
+    independent: see :class:`~crazyarena.safety.watchdog.Watchdog`.
     """
 
     def __init__(
@@ -57,8 +62,10 @@ class Safeguard:
         limits: Limits | None = None,
         feed: Callable[[int], None] | None = None,
         dead_man: Hold | None = None,
+        independent: bool = True,
     ) -> None:
         self._dead_man = dead_man
+        self._independent = independent
         self._stops: Stops | None = None
         self._keys: Stops | None = None
         self._clock = clock
@@ -70,12 +77,13 @@ class Safeguard:
         self._pipeline: PosePipeline | None = None
         self._watchdog: Watchdog | None = None
         self.fence = Fence.from_level(level)
+        self.limits = limits or limits_for(level.control_frequency, 15)
         self.estop = EmergencyStop([backend], clock)
         self.gate = CommandGate(
             backend,
             self.fence,
             clock,
-            limits or limits_for(level.control_frequency, 15),
+            self.limits,
             state=self._believed,
             on_event=self._told.append,
         )
@@ -92,6 +100,7 @@ class Safeguard:
             feed=self._feed,
             estop=self.estop,
             dead_man=self._dead_man,
+            independent=self._independent,
             on_event=self._told.append,
         )
 
@@ -111,7 +120,9 @@ class Safeguard:
 
         Returns what is in force, in words, and what must be held, if anything.
         """
-        self._stops = open_stops(options, self.estop, self._clock, say=self._trouble)
+        self._stops = open_stops(
+            options, self.estop, self._clock, say=self._trouble, land=self._land
+        )
         self.must_hold(self._stops.dead_man)
         return self._stops.notes, self._stops.dead_man
 
@@ -120,6 +131,15 @@ class Safeguard:
         held = None if self._stops is None else self._stops.dead_man
         self._keys = open_stops(options, self.estop, self._clock, dead_man=held, say=self._trouble)
         return self._keys.notes
+
+    def _land(self, reason: str) -> None:
+        """The operator wants it down; from the thread of a source."""
+        self.watchdog.request(Action.LAND, "operator_land", self._vehicle)
+
+    @property
+    def ladder(self) -> str:
+        """Where the watchdog's ladder stands, by name."""
+        return self.watchdog.action(self._vehicle).name
 
     def _trouble(self, text: str) -> None:
         """A source of the stop was tampered with or is gone; from its thread."""

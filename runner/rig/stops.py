@@ -150,6 +150,7 @@ def open_stops(
     stream: int | None = None,
     folder: Path | None = None,
     say: Callable[[str], None] = say_loudly,
+    land: Callable[[str], None] | None = None,
 ) -> Stops:
     """Open every source asked for; all of them pull ``stop``, each in a thread of its own.
 
@@ -159,6 +160,7 @@ def open_stops(
     stream: the terminal; standard input by default.
     folder: of the socket ``crazyarena estop`` looks for.
     say: told of a source that was tampered with or is gone, from its thread.
+    land: brings down what flies, given the reason; None where nothing can.
 
     Raises
     ------
@@ -178,7 +180,7 @@ def open_stops(
     with contextlib.ExitStack() as undo:
         undo.callback(stops.close)
         if options.shell:
-            stops._closers.append(SocketSource(stop, folder, say).close)
+            stops._closers.append(SocketSource(stop, folder, say, land).close)
             stops.notes.append("crazyarena estop in another shell stops the motors")
         if options.gamepad is not None:
             device = sources.open_gamepad(options.gamepad)

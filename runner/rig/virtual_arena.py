@@ -4,7 +4,8 @@ on zenoh or as one of the emulated systems.
 ``python -m crazyarena.runner.rig.virtual_arena CONFIG`` with a JSON object: level_file (path),
 seed, lsy (name and overrides of a level of lsy_drone_racing, or null), vehicle (id),
 vehicle_file, port, radio (on the air, not on the port), place of the cameras,
-cameras (fields of CameraModel), battery (times the usual capacity). Prints one line of JSON with
+cameras (fields of CameraModel), battery (times the usual capacity), deck (on the vehicle, instead
+of cameras; none if empty). Prints one line of JSON with
 ``uri`` and ``air`` once it runs, and on SIGTERM one with how it kept up, then ends; also 20 s after
 its standard input was closed.
 """
@@ -31,6 +32,8 @@ from crazyarena.errors import BackendError
 from crazyarena.levels import dump_level, load_level
 from crazyarena.levels.draw import LevelRandom
 from crazyarena.levels.schema import Level
+from crazyarena.mocap.onboard import KIND as ONBOARD
+from crazyarena.mocap.opening import SourceSpec
 from crazyarena.runner.rig import arena_cameras
 from crazyarena.runner.timing.realtime import SERVING, lock_memory, lower_priority, raise_priority
 from crazyarena.types import Pose
@@ -60,6 +63,7 @@ def _serve(config: dict[str, Any]) -> None:
     from crazyarena.sim_backend.crtp.faults import Faults
     from crazyarena.sim_backend.crtp.server import VirtualServer
     from crazyarena.sim_backend.crtp.swarm import Send, VirtualSwarm
+    from crazyarena.sim_backend.decks import make_deck
     from crazyarena.sim_backend.physics.arena_plant import AP_CAPACITY
     from crazyarena.sim_backend.physics.competition_step import PLANT_SIZE
     from crazyarena.sim_backend.vehicles import load_vehicle, vehicle_rows
@@ -86,7 +90,8 @@ def _serve(config: dict[str, Any]) -> None:
     else:
         draw, track = _lsy_track(level, config["seed"], **config["lsy"])
     # Not the numbers of the dry run: measurement noise never repeats in an arena either.
-    for_cameras, for_sensors = np.random.default_rng([config["seed"], os.getpid()]).spawn(2)
+    noise = np.random.default_rng([config["seed"], os.getpid()])
+    for_cameras, for_sensors, for_deck = noise.spawn(3)
     model = vehicle_rows(load_vehicle(config["vehicle_file"]))
     nominal = level.vehicle
     model.plant[:PLANT_SIZE] += np.array((draw.mass, *draw.inertia)) - (
@@ -105,6 +110,8 @@ def _serve(config: dict[str, Any]) -> None:
         rng=for_sensors,
     )
     fleet.plants[0, AP_CAPACITY] *= config["battery"]
+    if config["deck"]:
+        fleet.decks.fit(0, make_deck(config["deck"], for_deck))
     fleet.advance(1)  # compiles, which must not happen in flight
     swarm = Swarm(fleet)
     swarm.track = track
@@ -114,8 +121,10 @@ def _serve(config: dict[str, Any]) -> None:
     lock_memory()
     raise_priority(SERVING, inherit=True)
     clock = WallClock()
-    cameras = SimSource(clock, None, CameraModel(**config["cameras"]), for_cameras)
-    publisher = arena_cameras.serve(config["place"], list(swarm.truth()), clock)
+    cameras, publisher = None, None
+    if not config["deck"]:
+        cameras = SimSource(clock, None, CameraModel(**config["cameras"]), for_cameras)
+        publisher = arena_cameras.serve(config["place"], list(swarm.truth()), clock)
     links, gateway = None, None
     if config["radio"]:
         links, air = put_on_air(fleet.ids, clock)
@@ -167,7 +176,8 @@ def _serve(config: dict[str, Any]) -> None:
         if gateway is not None:
             gateway.close()
         server.close()
-        publisher.close()
+        if publisher is not None:
+            publisher.close()
 
 
 def _lsy_track(level: Level, seed: int, name: str, overrides: list[str]) -> tuple[Draw, AnyTrack]:
@@ -213,9 +223,16 @@ class VirtualArena:
     ) -> None:
         from crazyarena.sim_backend.vehicles import level_supply, vehicle_file
 
-        place = arena_cameras.free_places(mocap)
-        self.endpoint = arena_cameras.endpoint(place)
-        self.source = arena_cameras.source(place, cameras or {}, **(mocap_options or {}))
+        place: dict[str, Any] = {}
+        options = dict(mocap_options or {})
+        deck, self.endpoint = "", ""
+        if mocap == ONBOARD:
+            deck = str(options.pop("deck", "lighthouse"))
+            self.source = SourceSpec(ONBOARD, options)
+        else:
+            place = arena_cameras.free_places(mocap)
+            self.endpoint = arena_cameras.endpoint(place)
+            self.source = arena_cameras.source(place, cameras or {}, **options)
         self.report: dict[str, Any] = {}
         level_file = folder / "level.yaml"
         level_file.write_text(dump_level(level))
@@ -231,6 +248,7 @@ class VirtualArena:
             "cameras": cameras or {},
             "battery": battery,
             "radio": radio,
+            "deck": deck,
         }
         self._errors = open(folder / "virtual_arena.log", "w+")  # noqa: SIM115 - closed by close()
         self._process = subprocess.Popen(

@@ -10,6 +10,7 @@ from crazyarena.runner.rig.stops import StopOptions
 from crazyarena.safety.estop import Hold
 from crazyarena.safety.events import SafetyEvent
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.limits import Limits
 
 
 class Watch(Protocol):
@@ -49,9 +50,16 @@ class Watch(Protocol):
 
 
 class Guard(Watch, Protocol):
-    """A watch with the sources of its emergency stop; ``fence`` is what it holds the vehicle to."""
+    """A watch with the sources of its emergency stop; ``fence`` is what it holds the vehicle to,
+    ``limits`` what it trusts it with."""
 
     fence: Fence
+    limits: Limits
+
+    @property
+    def ladder(self) -> str:
+        """Where the watchdog's ladder stands, by name."""
+        ...
 
     def record(self) -> list[SafetyEvent]:
         """Everything the watchdog has done so far."""

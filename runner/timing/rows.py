@@ -28,26 +28,26 @@ class Rows:
 
     def next(self) -> Array:
         """A new row (width,), still to be filled in."""
-        row = self._free()[0]
+        block, at = divmod(self.count, self._block)
+        if block == len(self._blocks):
+            self._add()
         self.count += 1
+        row: Array = self._blocks[block][at]
         return row
 
     def extend(self, rows: Array) -> None:
         """Append (k, width)."""
-        done = 0
-        while done < len(rows):
-            free = self._free()
-            n = min(len(rows) - done, len(free))
-            free[:n] = rows[done : done + n]
+        while len(rows):
+            block, at = divmod(self.count, self._block)
+            if block == len(self._blocks):
+                self._add()
+            n = min(len(rows), self._block - at)
+            self._blocks[block][at : at + n] = rows[:n]
             self.count += n
-            done += n
+            rows = rows[n:]
 
-    def _free(self) -> Array:
-        """What is left of the last block; a new one if nothing is."""
-        block, at = divmod(self.count, self._block)
-        if block == len(self._blocks):
-            self._blocks.append(np.empty((self._block, self._width)))
-        return self._blocks[block][at:]
+    def _add(self) -> None:
+        self._blocks.append(np.empty((self._block, self._width)))
 
     def between(self, first: int, last: int) -> Array:
         """Rows ``first`` (inclusive) to ``last`` (exclusive), at most ``count``."""

@@ -62,7 +62,10 @@ class Scheduler:
         self.step = step
         if self._stamped is not None:
             self._stamped.expect(self.deadline(step + 1))
-        self._ticks.next()[:] = late, machine, standstill
+        row = self._ticks.next()
+        row[0] = late
+        row[1] = machine
+        row[2] = standstill
         return late
 
     @property

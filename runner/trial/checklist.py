@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,16 @@ import numpy as np
 
 from crazyarena.errors import BackendError, InputError
 from crazyarena.levels import Level
+from crazyarena.runner.rig.flight_model import foretold, known
 from crazyarena.runner.rig.rig import Rig
 from crazyarena.runner.trial.preflight import Bodies, remember
 from crazyarena.safety import preflight as pf
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.preflight_onboard import MachineChecks, Onboard, VehicleChecks
+from crazyarena.safety.preflight_track import NAME, gates_free
 from crazyarena.safety.rehearsal import Rehearsals
+from crazyarena.sim_backend.vehicles import Vehicle
 from crazyarena.types import Pose
 
 _LOOK = 0.4  # s, over which the vehicle's estimate must be still, and bodies are counted
@@ -32,6 +37,7 @@ _ALWAYS = (
     "world axes",
     "arena clear",
     "camera rate",
+    NAME,
     "{} connected",
     "{} state",
     "{} battery",
@@ -41,12 +47,14 @@ _ALWAYS = (
     "{} heading",
     "{} at start",
 )
-_WITH_PEOPLE = ("disk", "e-stop tested", "{} is body {}")
+_ONBOARD = ("{} deck", "{} certain", "{} heading")  # where there are no cameras
+_WITH_PEOPLE = ("disk", "e-stop tested", "{} is body {}", "{} model")
 
 
 def names(body: str) -> tuple[str, ...]:
     """Names of the lines that can be waived."""
-    return tuple(name.format(body, body) for name in (*_ALWAYS, *_WITH_PEOPLE))
+    all_of_them = dict.fromkeys((*_ALWAYS, *_ONBOARD, *_WITH_PEOPLE))
+    return tuple(name.format(body, body) for name in all_of_them)
 
 
 def check_waivers(waive: Iterable[str], body: str) -> None:
@@ -69,6 +77,8 @@ class FlightChecklist:
     out: folder recordings go to.
     landmarks: bodies whose nominal places tell the cameras' axes; the level's own by default.
     say: told of each line that is waived.
+    vehicle: model of the vehicle, looked at where there are people; elsewhere it is what flies.
+    surveyed: poses of the track from an earlier survey.
 
     Raises
     ------
@@ -85,8 +95,11 @@ class FlightChecklist:
         out: Path = Path("."),
         say: Callable[[str], None] = lambda text: None,
         rehearsals: Rehearsals | None = None,
+        vehicle: Vehicle | None = None,
+        surveyed: Mapping[str, Pose] | None = None,
         landmarks: Mapping[str, Pose] | None = None,
     ) -> None:
+        self._vehicle = vehicle
         self._rig = rig
         self._level = level
         self._waive = tuple(dict.fromkeys(waive))
@@ -95,6 +108,7 @@ class FlightChecklist:
         self._out = out
         self._say = say
         self._rehearsals = rehearsals
+        self._surveyed = surveyed
         self._landmarks = landmarks
         self._runs: list[list[pf.Line]] = []
 
@@ -113,6 +127,11 @@ class FlightChecklist:
         if problems:
             problems[-1] += f". To fly in spite of it: --waive {grounding[-1].name!r}"
         return problems
+
+    @property
+    def lines(self) -> list[pf.Line]:
+        """Of the last look."""
+        return list(self._runs[-1]) if self._runs else []
 
     def record(self) -> dict[str, Any]:
         """For ``result.json``: what was waived, and the lines before each arming."""
@@ -138,6 +157,27 @@ class FlightChecklist:
             rig.listeners.frames.remove(bodies.note)
         return bodies, own
 
+    def _checks(self) -> tuple[MachineChecks, VehicleChecks]:
+        by_hand = self._uri is not None
+        surveyed = self._surveyed or self._rig.taped()
+        machine: MachineChecks = (partial(gates_free, measured=surveyed),)
+        if by_hand:
+            machine = (*machine, pf.check_disk, pf.check_estop)
+        onboard = self._rig.onboard
+        healthy: VehicleChecks = (pf.check_connected, pf.check_state, pf.check_battery)
+        if by_hand:
+            healthy = (*healthy, pf.check_model)
+        if onboard is not None:
+            own = Onboard({self._rig.body: onboard})
+            return (
+                (*own.machine_checks, *machine),
+                (*healthy, *own.vehicle_checks, pf.check_controller),
+            )
+        seen: MachineChecks = (pf.check_axes, pf.check_strangers, pf.check_cameras)
+        tipped: VehicleChecks = (pf.check_body, pf.check_heading) if by_hand else ()
+        each = (*healthy, pf.check_estimate, pf.check_controller, *tipped, pf.check_start)
+        return (*seen, *machine), each
+
     def _gather(self) -> pf.Preflight:
         rig, clock = self._rig, self._rig.clock
         bodies, own = self._look()
@@ -152,21 +192,13 @@ class FlightChecklist:
             own,
             controller,
         )
-        machine: tuple[Callable[[pf.Preflight], list[pf.Line]], ...] = (
-            pf.check_axes,
-            pf.check_strangers,
-            pf.check_cameras,
-        )
-        each: tuple[Callable[[pf.Preflight, pf.VehicleFacts], list[pf.Line]], ...] = (
-            pf.check_connected,
-            pf.check_state,
-            pf.check_battery,
-            pf.check_estimate,
-            pf.check_controller,
-        )
-        if self._uri is not None:
-            machine = (*machine, pf.check_disk, pf.check_estop)
-            each = (*each, pf.check_body, pf.check_heading)
+        machine, each = self._checks()
+        if self._uri is not None and self._vehicle is not None:
+            fact.model = foretold(
+                self._vehicle,
+                known(controller or 0),
+                lambda name: rig.backend.get_param(rig.vehicle, name),
+            )
         checklist = pf.Preflight(
             self._level,
             [fact],
@@ -178,7 +210,7 @@ class FlightChecklist:
             out=self._out,
             clock=clock,
             machine_checks=machine,
-            vehicle_checks=(*each, pf.check_start),
+            vehicle_checks=each,
             landmarks=self._landmarks,
         )
         if self._uri is not None:

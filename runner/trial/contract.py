@@ -8,6 +8,7 @@ of the 2022 competition.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -126,7 +127,12 @@ class Contract2022:
         return observation(start)
 
     def metadata(self, draw: Draw, track: MeasuredTrack, start: Array) -> dict[str, str]:
-        return {"level": self.level.name, "level_file": dump_level(self.level)}
+        return {"level": self.level.name, "level_file": self._level_file}
+
+    @cached_property
+    def _level_file(self) -> str:
+        # Once a trial: writing YAML takes as long as a few seconds of flight.
+        return dump_level(self.level)
 
     def scene(self, track: MeasuredTrack) -> dict[str, Any]:
         return scene_update(track.gates, track.obstacles, self.level)

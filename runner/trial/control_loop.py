@@ -19,7 +19,7 @@ from crazyarena.errors import BackendError, CommandError
 from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.compute import Compute, make_waiter
 from crazyarena.runner.contestant.contract_2022.command_check import FINISHED as FINISHED_VERB
-from crazyarena.runner.contestant.contract_2022.command_check import NONE, Asked
+from crazyarena.runner.contestant.contract_2022.command_check import NONE
 from crazyarena.runner.contestant.dialogue import Answer, Contestant, Learn, Question
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.judging.referee import Event, Verdict
@@ -96,8 +96,10 @@ class ControlLoop:
         on_step: Callable[[float], None] | None = None,
         thought_before: float = 0.0,
     ) -> None:
+        budget = deadlines.compute.budget
         self._thought_before = thought_before
         self._thought = 0.0
+        self._most_thought = min(budget.episode, budget.trial - thought_before)
         self._index = index
         self._contestant = contestant
         self._world = world
@@ -145,6 +147,16 @@ class ControlLoop:
         return self._result(reason), self._obs
 
     @property
+    def row(self) -> np.ndarray | None:
+        """(TRACE_SIZE,) the last that was judged; None before the first."""
+        return self._rows[-1] if len(self._rows) else None
+
+    @property
+    def missed(self) -> int:
+        """Ticks so far at which no command was sent."""
+        return self._missed
+
+    @property
     def thought(self) -> float:
         """s of wall time that the contestant has taken for its answers."""
         return self._thought
@@ -164,7 +176,7 @@ class ControlLoop:
             time = step * period
             if self._interrupt.asked:
                 return INTERRUPTED
-            if self._is_stopped():
+            if self._watch is not None and self._is_stopped():
                 return SAFETY
             applied = False
             if pending is not None:
@@ -249,8 +261,9 @@ class ControlLoop:
         """Act on an answer; returns the reason if the run ends with it."""
         self._seconds.append(answer.seconds)
         self._command_seconds.append(answer.command_seconds)
-        self._learned += answer.learn_seconds > 0.0
-        self._learn_seconds += answer.learn_seconds
+        if answer.learn_seconds > 0.0:
+            self._learned += 1
+            self._learn_seconds += answer.learn_seconds
         self._overruns += answer.seconds * self._rate > 1.0
         self._consecutive = 0
         if self._watch is not None:
@@ -260,27 +273,17 @@ class ControlLoop:
         if answer.error is not None or answer.asked is None:
             return self._failed(answer.error or "no command", time)
         self._thought += answer.seconds
-        budget = self._deadlines.compute.budget
-        for spent, limit, what in (
-            (self._thought, budget.episode, "this episode"),
-            (self._thought_before + self._thought, budget.trial, "this trial"),
-        ):
-            if spent > limit:
-                return self._timed_out(
-                    f"step {answer.step}: it has taken {spent:.0f} s of wall time for its answers "
-                    f"in {what}; {limit:g} s are allowed",
-                    time,
-                )
+        if self._thought > self._most_thought:
+            return self._timed_out(self._over_budget(answer.step), time)
         asked = answer.asked
+        verb, sent = asked.verb, asked.command
         if self._first is None:
             self._first = asked.name
-        sent = asked.command
-        if asked.verb == NONE and self._keep_alive:
+        if verb == NONE and self._keep_alive:
             sent = self._last
-        if asked.verb == FINISHED_VERB:
-            self._record(time, asked, None)
-            return FINISHED
-        if sent is not None:
+        if verb == FINISHED_VERB:
+            sent = None
+        elif sent is not None:
             try:
                 self._world.send(sent)
             except (BackendError, CommandError) as error:
@@ -290,8 +293,19 @@ class ControlLoop:
             streamed = isinstance(asked.command, cs.STREAMED)
             self._last = asked.command if streamed else None
             self._sent_at = time
-        self._record(time, asked, sent)
-        return None
+        if self._recorder is not None:
+            self._recorder.command(time, asked, sent)
+        return FINISHED if verb == FINISHED_VERB else None
+
+    def _over_budget(self, step: int) -> str:
+        budget = self._deadlines.compute.budget
+        spent, limit, what = self._thought, budget.episode, "this episode"
+        if spent <= limit:
+            spent, limit, what = self._thought_before + spent, budget.trial, "this trial"
+        return (
+            f"step {step}: it has taken {spent:.0f} s of wall time for its answers in {what}; "
+            f"{limit:g} s are allowed"
+        )
 
     def _timed_out(self, text: str, time: float) -> str:
         self._failed(text, time)
@@ -344,10 +358,6 @@ class ControlLoop:
         self._learned += answer.learn_seconds > 0.0
         self._learn_seconds += answer.learn_seconds
         return None if answer.error is None else self._failed(answer.error, step / self._rate)
-
-    def _record(self, time: float, asked: Asked, sent: cs.Command | None) -> None:
-        if self._recorder is not None:
-            self._recorder.command(time, asked, sent)
 
     def _note(self, name: str, step: int, detail: str) -> None:
         event = Event(name, self._referee.ticks, step / self._rate, detail)
@@ -403,7 +413,7 @@ class ControlLoop:
             reason,
             self._events,
             self._rows,
-            self._highest,
+            float(self._highest),
             self._first,
             self._error,
         )

@@ -18,6 +18,7 @@ from crazyarena.sim_backend.firmware.supervisor import INFO_ARMED, INFO_AUTO_ARM
 _PEAK_SPEED = 1.0  # m/s on the way home
 _PEAK_OVER_MEAN = 35.0 / 16.0  # of the firmware's rest-to-rest polynomial
 _BRAKING = 3.0  # m/s2, after the run
+_OF_BRAKING = 0.8  # share of what the watchdog would brake with
 _ASIDE = 0.25  # m from the fence, from where it flies home
 _HOME_ASIDE = 0.1  # m from the fence, at home
 _DRAW_BACK = 0.4  # m/s on the way there
@@ -100,7 +101,7 @@ class Homecoming(Hands):
         begin, velocity = state.position.copy(), state.velocity.copy()
         yaw = roll_pitch_yaw(state.quaternion)[2]
         speed = float(np.linalg.norm(velocity))
-        braking = speed / _BRAKING
+        braking = speed / self._deceleration()
         rest = begin + 0.5 * braking * velocity
         rest[2] = max(rest[2], begin[2], DOWN + 0.1)
         inside = self._inside(rest, _ASIDE)
@@ -123,6 +124,11 @@ class Homecoming(Hands):
             self._send(setpoint)
             clock.sleep_until(clock.now() + TICK)
         return inside, yaw
+
+    def _deceleration(self) -> float:
+        """m/s2, gently, and no more than the vehicle is trusted with."""
+        guard = self._rig.safeguard
+        return _BRAKING if guard is None else min(_BRAKING, _OF_BRAKING * guard.limits.braking)
 
     def _inside(self, place: Array, margin: float) -> Array:
         """The place (3,) m nearest to ``place`` that is ``margin`` m inside the fence."""
@@ -159,7 +165,8 @@ class Homecoming(Hands):
             raise Aborted(phase, "the vehicle tumbled, crashed or was locked")
         if self._estimate().freshness is Freshness.STALE:
             self._send_quietly(cs.Land(0.0, 2.0))
-            raise Aborted(phase, f"the cameras lost {self._rig.body!r}")
+            who = "the cameras lost" if self._rig.onboard is None else "nothing is known of"
+            raise Aborted(phase, f"{who} {self._rig.body!r}")
 
     def _disarm(self) -> None:
         self._send_quietly(cs.CutMotors())

@@ -7,7 +7,13 @@ from dataclasses import dataclass, field
 
 from crazyarena.errors import InputError
 from crazyarena.levels.schema import Level, Profile
-from crazyarena.runner.contestant.compute import FREE, MEASURED, Compute, parse_compute
+from crazyarena.runner.contestant.compute import (
+    FREE,
+    MEASURED,
+    Budget,
+    Compute,
+    parse_compute,
+)
 from crazyarena.runner.contestant.sandbox.limits import Limits
 from crazyarena.runner.trial.control_loop import Deadlines, LatePolicy
 
@@ -26,7 +32,7 @@ class FlightOptions:
     sandbox: the contestant in a process of its own; None: on arena levels, not on those of the
     competition profile. secret: the level is drawn from a seed that nobody can guess. compute:
     ``measured``, ``free`` or ``fixed=MS``; None: measured on arena levels, free on the others.
-    factor: how much slower the flight machine is.
+    factor: how much slower the flight machine is. budget: wall time of steps, episodes and trials.
     """
 
     sandbox: bool | None = None
@@ -34,6 +40,7 @@ class FlightOptions:
     require_sandbox: bool = False
     compute: str | None = None
     factor: float = 1.0
+    budget: Budget = field(default_factory=Budget)
     late: LatePolicy = LatePolicy.HOLD
     max_misses: int = 15
     limits: Limits = field(default_factory=Limits)
@@ -46,6 +53,7 @@ class FlightOptions:
             raise InputError("--secret and --no-sandbox exclude each other: it would be no secret")
         if self.max_misses < 1:
             raise InputError(f"max misses: found {self.max_misses}; need 1 or more")
+        self.budget.check()
         if self.compute is not None:
             parse_compute(self.compute, self.factor)
 
@@ -71,5 +79,5 @@ class FlightOptions:
     def deadlines(self, level: Level) -> Deadlines:
         """Deadlines for a level."""
         default = MEASURED if level.profile is Profile.ARENA else FREE
-        compute: Compute = parse_compute(self.compute or default, self.factor)
+        compute: Compute = parse_compute(self.compute or default, self.factor, self.budget)
         return Deadlines(self.late, self.max_misses, compute)

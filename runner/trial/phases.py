@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -104,7 +105,10 @@ class Crew(Homecoming):
         """Ask the operator, arm, count down; raises :class:`Aborted`."""
         with self._phase(Phase.ARM):
             name = f"vehicle {self._rig.vehicle}"
-            if not self._confirm(f"Arm {name} and start the run on {self._level.name}?"):
+            alone = ""
+            if self._rig.onboard is not None:
+                alone = f"Nothing but {name} itself sees where it is. "
+            if not self._confirm(f"{alone}Arm {name} and start the run on {self._level.name}?"):
                 raise Aborted(Phase.ARM, "the operator said no")
             self._await_grip()
             self._arm()
@@ -163,7 +167,9 @@ class Crew(Homecoming):
             self._timeouts.connect,
             Phase.CONNECT,
             lambda: (
-                f"the cameras do not see {rig.body!r}"
+                f"{self._doubt()}; check its decks, base stations, floor"
+                if rig.onboard is not None
+                else f"the cameras do not see {rig.body!r}"
                 if rig.pipeline.live
                 else f"no frames from the cameras ({rig.pipeline.source.status.error or 'silent'})"
             ),
@@ -172,6 +178,14 @@ class Crew(Homecoming):
     def _preflight(self) -> None:
         rig = self._rig
         place = self._estimate().state
+        if rig.onboard is not None and rig.onboard.decks.relative:
+            place = standing_at(self._level, place)
+            self._on_phase(
+                Phase.PREFLIGHT,
+                f"nothing on board knows its place: it is counted from the level's start "
+                f"({place.position[0]:g}, {place.position[1]:g}), nose at "
+                f"{math.degrees(self._level.start.attitude[2]):g} deg; it must stand there",
+            )
         for command in preparations(place):
             self._send(command)
             rig.clock.sleep_until(rig.clock.now() + TICK)
@@ -180,7 +194,8 @@ class Crew(Homecoming):
 
         def settled() -> bool:
             now = rig.clock.now()
-            if self._disagreement() > _AGREEMENT:
+            seen = rig.onboard is None or self._estimate().freshness is not Freshness.STALE
+            if not seen or self._disagreement() > _AGREEMENT:
                 agreed_since[0] = math.nan
             elif math.isnan(agreed_since[0]):
                 agreed_since[0] = now
@@ -191,7 +206,9 @@ class Crew(Homecoming):
             self._timeouts.preflight,
             Phase.PREFLIGHT,
             lambda: (
-                f"the on-board estimate is {self._disagreement():.2f} m from what the cameras "
+                f"its estimate does not settle: {self._doubt()}"
+                if rig.onboard is not None
+                else f"the on-board estimate is {self._disagreement():.2f} m from what the cameras "
                 "see; do external poses reach the vehicle?"
             ),
         )
@@ -202,6 +219,13 @@ class Crew(Homecoming):
         if problems:
             raise Aborted(Phase.PREFLIGHT, "; ".join(problems))
         self._home = self._estimate().state.position.copy()
+
+    def _doubt(self) -> str:
+        """Why the vehicle's own estimate is not believed."""
+        onboard, told = self._rig.onboard, self._rig.backend.telemetry(self._rig.vehicle)
+        if onboard is None or told.state is None:
+            return "it tells no estimate of its place"
+        return onboard.certainty.doubt(told) or "its estimates come late, or jump"
 
     def _disagreement(self) -> float:
         told = self._rig.backend.telemetry(self._rig.vehicle).state
@@ -225,6 +249,10 @@ class Crew(Homecoming):
         site = self._site
         poses = self._surveyed
         source = "earlier survey"
+        if poses is None and (taped := self._rig.taped()):
+            poses, source = taped, "measured by hand"
+        if poses is None and site.nominal and self._rig.onboard is not None:
+            raise Aborted(Phase.SURVEY, "no cameras measure the track; --survey FILE")
         if poses is None and site.nominal:
             poses, source = self._measure(), "measured"
         missing = [name for name in site.nominal if name not in (poses or {})]
@@ -286,6 +314,14 @@ class Crew(Homecoming):
         """Between arming and start nothing moves; what does is an abort."""
         if self._home is not None and self._height() > DOWN:
             raise Aborted(Phase.COUNTDOWN, "the vehicle left the ground before the start")
+
+
+def standing_at(level: Level, seen: VehicleState) -> VehicleState:
+    """The state of a vehicle that stands at the level's start, nose as the level has it."""
+    x, y, _ = level.start.position
+    yaw = level.start.attitude[2]
+    quaternion = np.array((0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)))
+    return replace(seen, position=np.array((x, y, 0.0)), quaternion=quaternion)
 
 
 def preparations(place: VehicleState, controller: int = MELLINGER) -> list[cs.SetParam]:

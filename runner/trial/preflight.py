@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import cmath
 import contextlib
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +17,26 @@ from crazyarena.errors import BackendError, CommandError, InputError
 from crazyarena.levels import Level
 from crazyarena.levels.lsy.arena import bare_arena
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
-from crazyarena.runner.rig.cameras import open_named_source
+from crazyarena.mocap.onboard import KIND as ONBOARD
+from crazyarena.mocap.onboard import OnboardSource, certainty
+from crazyarena.mocap.source import PoseSource
+from crazyarena.runner.rig.cameras import named_source
+from crazyarena.runner.rig.flight_model import foretold, known
 from crazyarena.runner.rig.stops import StopOptions, open_stops
+from crazyarena.safety import preflight as pf
 from crazyarena.safety.estop import EmergencyStop, Rehearsal
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.frame_rate import FrameRate
+from crazyarena.safety.own_estimate import OwnEstimate
 from crazyarena.safety.preflight import (
     Preflight,
     VehicleFacts,
-    nose_between,
-    tilt,
-    tipped_body,
 )
+from crazyarena.safety.preflight_onboard import Onboard
+from crazyarena.safety.preflight_track import gates_free
 from crazyarena.safety.rehearsal import Rehearsals
+from crazyarena.safety.tipping import nose_between, tilt, tipped_body
+from crazyarena.sim_backend.vehicles import Vehicle, VehicleChoice, resolve
 from crazyarena.types import Pose, PoseFrame
 
 _PERIOD = 0.05  # s
@@ -56,6 +65,7 @@ class Wanted:
     wait: float = 5.0
     out: Path = Path("runs")
     stops: StopOptions = field(default_factory=StopOptions)
+    vehicle: VehicleChoice = field(default_factory=VehicleChoice)
 
     def vehicles(self) -> dict[str, str]:
         """Links by name; raises InputError."""
@@ -119,9 +129,10 @@ def gather(wanted: Wanted, say: Callable[[str], None]) -> Preflight:
     clock = WallClock()
     vehicles = wanted.vehicles()
     flown = bare_arena(wanted.level, wanted.overrides)
+    _, model = resolve(flown, wanted.vehicle)
     wanted.stops.check()
     with contextlib.ExitStack() as stack:
-        return _Gathering(wanted, flown, vehicles, clock, say, stack).run()
+        return _Gathering(wanted, flown, model, vehicles, clock, say, stack).run()
 
 
 class _Gathering:
@@ -131,6 +142,7 @@ class _Gathering:
         self,
         wanted: Wanted,
         level: Level,
+        model: Vehicle,
         vehicles: dict[str, str],
         clock: Clock,
         say: Callable[[str], None],
@@ -138,6 +150,7 @@ class _Gathering:
     ) -> None:
         self._wanted = wanted
         self._level = level
+        self._model = model
         self._vehicles = vehicles
         self._ids = {name: index + 1 for index, name in enumerate(vehicles)}
         self._clock = clock
@@ -146,6 +159,10 @@ class _Gathering:
         self._in_hand: set[int] = set()
         self._facts = {name: VehicleFacts(name, name, own=[]) for name in vehicles}
         self._rehearsals = Rehearsals()
+        self._onboard = wanted.mocap == ONBOARD
+        self._checks: Onboard | None = None
+        if self._onboard and wanted.tip:
+            raise InputError("--tip: compares a vehicle with its body; without cameras it has none")
         # Only rehearsed here: no link is given to it, so nothing can be stopped by mistake.
         self._estop = EmergencyStop([], clock)
         tried = Rehearsal(self._estop, lambda source: say(f"Emergency stop tried: {source}."))
@@ -156,7 +173,8 @@ class _Gathering:
 
     def _connect(self, stack: contextlib.ExitStack) -> Any:
         from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig
-        from crazyarena.crazyswarm_compat.radio import RadioBackend
+        from crazyarena.crazyswarm_compat.radio import RadioBackend, RadioOptions
+        from crazyarena.runner.rig.hardware import onboard_options
 
         if not self._vehicles:
             return None
@@ -169,8 +187,9 @@ class _Gathering:
             ),
             "--uri",
         )
+        options = onboard_options(RadioOptions()) if self._onboard else RadioOptions()
         try:
-            backend = RadioBackend(fleet, self._clock)
+            backend = RadioBackend(fleet, self._clock, options)
         except BackendError as error:
             self._say(str(error))
             return None
@@ -185,9 +204,16 @@ class _Gathering:
         w = self._wanted
         if w.mocap is None:
             return None
-        poses = open_named_source(w.mocap, w.host, w.options, self._clock)
+        spec = named_source(w.mocap, w.host, w.options)
         forwarder = None
-        if self._backend is not None:
+        poses: PoseSource
+        if self._onboard:
+            if self._backend is None:
+                return None  # that it is silent, its own lines say
+            poses = self._own_estimates(spec.options)
+        else:
+            poses = spec.open(self._clock)
+        if self._backend is not None and not self._onboard:
             forwarder = PoseForwarder(self._ids, self._forward, self._clock)
         pipeline = PosePipeline(
             poses,
@@ -199,6 +225,18 @@ class _Gathering:
         stack.callback(pipeline.close)
         pipeline.start()
         return pipeline
+
+    def _own_estimates(self, options: dict[str, Any]) -> OnboardSource:
+        known = {}
+        for name, ident in self._ids.items():
+            own = OwnEstimate.of(partial(self._backend.get_param, ident), options)
+            known[name] = own
+        relative = all(own.decks.relative for own in known.values())
+        source = OnboardSource(self._clock, certainty(relative, options))
+        for name, ident in self._ids.items():
+            self._backend.on_state(ident, partial(source.told, name))
+        self._checks = Onboard(known)
+        return source
 
     def _forward(self, poses: Any) -> None:
         """A vehicle in somebody's hand must feel by itself how it is held."""
@@ -327,13 +365,21 @@ class _Gathering:
             estop=self._estop,
             out=w.out,
             clock=self._clock,
+            machine_checks=(*pf.MACHINE_CHECKS, gates_free),
         )
+        if self._checks is not None:
+            p.machine_checks, p.vehicle_checks = self._checks.all_checks()
         for name, fact in self._facts.items():
             if self._backend is not None:
                 with contextlib.suppress(BackendError):
                     fact.controller = int(
                         self._backend.get_param(self._ids[name], "stabilizer.controller")
                     )
+                fact.model = foretold(
+                    self._model,
+                    known(w.controller),
+                    functools.partial(self._backend.get_param, self._ids[name]),
+                )
             if self._pipeline is not None:
                 fact.seen = self._pipeline.estimate(name)
         remember(p, self._rehearsals, self._vehicles)

@@ -39,6 +39,7 @@ from crazyarena.runner.trial.contract import Contract, Contract2022
 from crazyarena.runner.trial.control_loop import ControlLoop, Deadlines
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.trial.phase import Aborted, MeasuredTrack, Phase
+from crazyarena.runner.trial.showing import Showing
 from crazyarena.runner.trial.staging import Staging
 from crazyarena.runner.trial.world import World
 
@@ -48,21 +49,12 @@ _ENDS_RENEWED = (INTERRUPTED, ABORTED)
 _FAILED = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT)
 
 
-def require_firmware(level: Level) -> None:
-    """Raise InputError for a level that asks for the mode without firmware."""
-    if not level.use_firmware:
-        raise InputError(
-            f"level {level.name}: use_firmware is false; only firmware mode (cmdFirmware) "
-            "can be flown. Set use_firmware: true"
-        )
-
-
 class Trial:
     """Flies ``episodes`` episodes of a level with one contestant.
 
     Parameters
     ----------
-    level: with ``use_firmware`` (the contestant's ``cmdSimOnly`` has no counterpart here).
+    level: what is flown.
     contestant: loaded; the caller closes it.
     world: not reset yet; the caller closes it.
     contract: how worlds are drawn, judged and told of; that of 2022 by default.
@@ -74,6 +66,7 @@ class Trial:
     keep_states: keep the flight in memory for ``on_episode`` even if nothing is recorded.
     on_step: called with (episode, time s) after every control step.
     on_episode: called with each episode's result, recorder (or None) and track right after it.
+    show: for viewers.
     """
 
     def __init__(
@@ -92,8 +85,8 @@ class Trial:
         on_step: Callable[[int, float], None] | None = None,
         on_episode: Callable[[EpisodeResult, Recorder | None, Any], None] | None = None,
         wall: Clock | None = None,
+        show: Showing | None = None,
     ) -> None:
-        require_firmware(level)
         self._level = level
         self._contestant = contestant
         self._world = world
@@ -107,9 +100,11 @@ class Trial:
         self._on_step = on_step
         self._on_episode = on_episode
         self._wall = wall if wall is not None else WallClock()
+        self._show = show
         self._made = self._flown = False
         self._last_endings = _ENDS_RENEWED if self._staging.renews else _ENDS_TRIAL
         self._thought = 0.0  # s of wall time, by the contestant
+        self._cut_short: str | None = None
 
     def run(self) -> TrialResult:
         """Fly; raises InputError when the controller cannot be constructed."""
@@ -122,7 +117,7 @@ class Trial:
             for index in range(self._episodes):
                 result, obs = self._episode(index, random.reset(), referee, obs, interrupt)
                 results.append(result)
-                if interrupt.asked or result.termination in self._last_endings:
+                if interrupt.asked or self._cut_short or result.termination in self._last_endings:
                     break
                 if index + 1 < self._episodes:
                     if result.termination in _FAILED:
@@ -132,7 +127,7 @@ class Trial:
                     self._hooks(self._contract.between, result, interrupt)
                     if result.termination != flown:
                         break
-        return TrialResult(results, self._episodes)
+        return TrialResult(results, self._episodes, cut_short=self._cut_short)
 
     def _episode(
         self,
@@ -157,6 +152,8 @@ class Trial:
         with staging.else_abort():
             recorder = self._recorder(index, draw, track, start)
         staging.announce(track, self._level, recorder)
+        if self._show is not None:
+            self._show.begin(index, track.gates, track.obstacles)
         try:
             with staging.on_stage():
                 result, obs = self._run(index, referee, obs, interrupt, recorder)
@@ -168,6 +165,7 @@ class Trial:
         result.reveals = staging.reveals
         result.phases = staging.durations
         if recorder is not None and recorder.file is not None:
+            self._cut_short = recorder.trouble
             result.files["recording"] = recorder.file.name
         if result.termination not in _ENDS_TRIAL:
             result.interepisode_learning_time = self._hooks(contract.after, result, interrupt)
@@ -194,11 +192,15 @@ class Trial:
         interrupt: Interrupt,
         recorder: Recorder | None,
     ) -> tuple[EpisodeResult, Any]:
-        staging, on_step = self._staging, self._on_step
+        staging, on_step, show = self._staging, self._on_step, self._show
         staging.begin()
+        if show is not None:
+            show.running()
 
         def judged(verdict: Verdict, time: float) -> None:
             staging.judged(verdict, time, recorder)
+            if show is not None:
+                show.step(verdict, time, loop.row, loop.missed)
 
         loop = ControlLoop(
             index,
@@ -222,6 +224,8 @@ class Trial:
             staging.failed()
             raise
         self._thought += loop.thought
+        if show is not None:
+            show.end(result)
         staging.end(result, recorder)
         return result, obs
 

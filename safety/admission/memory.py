@@ -27,6 +27,7 @@ class VehicleMemory:
     ----------
     streaming: the vehicle depends on the next streamed setpoint, or on a plan instead of it.
     relaxed: the stream was ended (notify-setpoints-stop), so that plans are flown.
+    avoiding: collision avoidance on board is on.
     group_mask: of the vehicle; None until the runner has set it.
     boot: parameters as they were before the runner's first write.
     pushed: acceleration, m/s2, that the last setpoint asks for, where that is an attitude.
@@ -47,6 +48,7 @@ class VehicleMemory:
     is_reference: bool = False
     tokens: float = 0.0
     tokens_time: float = -math.inf
+    avoiding: bool = False
     group_mask: int | None = None
     boot: dict[str, float] = field(default_factory=dict)
     trajectories: TrajectoryMemory = field(default_factory=TrajectoryMemory)
@@ -92,6 +94,8 @@ class VehicleMemory:
         elif isinstance(command, c.NotifySetpointsStop):
             # Until a plan follows, the vehicle still holds the last setpoint.
             self.relaxed = self.relaxed or self.addressed(command.group_mask)
+        elif isinstance(command, c.CollisionAvoidance):
+            self.avoiding = command.enable
         elif isinstance(command, c.SetGroupMask):
             self.group_mask = int(command.group_mask)
         if isinstance(command, c.STREAMED):

@@ -18,7 +18,7 @@ from crazyarena.crazyswarm_compat.checks import check_param_name
 from crazyarena.errors import BackendError
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room
-from crazyarena.safety.limits import BRAKING
+from crazyarena.safety.flight_model import BRAKING
 
 # What has nothing to do with flying: always open.
 _DECORATION = ("ring.", "led.", "sound.", "usd.")

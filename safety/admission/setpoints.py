@@ -28,10 +28,10 @@ def full_state(
         velocity, acceleration = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     motion = room.motion(memory.vehicle)
     if motion is not None:
-        slower = room.link_loss.feedforward(*motion, place, velocity, acceleration)
+        slower = room.link_loss.full_state(*motion, place, velocity, acceleration)
         if slower is not None:
             reasons.append(OUT_IF_LOST)
-            velocity = slower
+            place, velocity = slower
     omega = room.slowed(as_point(m.omega), reasons, "body rate", 30.0)
     if not reasons:
         return m, reasons

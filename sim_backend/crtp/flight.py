@@ -105,7 +105,9 @@ class ArenaVehicle:
 
     def boot_param(self, name: str) -> float | None:
         """What the vehicle's model says of a parameter, where it differs from the firmware's own
-        default and is not for a ground station to write."""
+        default and is not for a ground station to write; and which positioning deck it has."""
+        if (fitted := self.fleet.decks.fitted(self.index, name)) is not None:
+            return fitted
         index = PARAM_INDEX.get(name)
         if (
             index is None

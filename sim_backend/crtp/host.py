@@ -28,6 +28,7 @@ from crazyarena.sim_backend.crtp.orders import obey
 from crazyarena.sim_backend.crtp.server import VirtualServer
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
 from crazyarena.sim_backend.crtp.toc import Table
+from crazyarena.sim_backend.decks import make_deck
 from crazyarena.sim_backend.physics.scene import build_scene
 from crazyarena.sim_backend.vehicles import VehicleChoice, resolve, vehicle_rows
 
@@ -44,8 +45,9 @@ class Options:
     publishes the poses over zenoh at ``mocap_rate`` Hz on ``mocap_endpoint``, as ideal cameras see
     them or, with ``camera_noise``, as real ones do. ``radio`` puts the vehicles on the air instead
     of UDP ports, on these channels, for programs whose dongles look for it on ``radio_port``.
-    ``table`` is whose parameters and log variables they have. ``fleet`` is a vehicle list of
-    Crazyswarm 1 or 2: how many, their numbers and where they stand.
+    ``table`` is whose parameters and log variables they have; by the vehicle if left out. ``fleet``
+    is a vehicle list of Crazyswarm 1 or 2: how many, their numbers and where they stand. ``deck``
+    is a positioning deck that each carries, see :mod:`crazyarena.sim_backend.decks`.
     """
 
     count: int = 1
@@ -68,8 +70,9 @@ class Options:
     rate: str = "2M"
     dongles: int = 1
     radio_port: int = DEFAULT_PORT
-    table: str = Table.CF21
+    table: str | None = None
     fleet: str | None = None
+    deck: str | None = None
 
 
 def starts(count: int, first: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
@@ -151,7 +154,11 @@ def build(options: Options) -> Host:
         scene = build_scene(draw.gates.tolist(), draw.obstacles.tolist())
         first = (float(draw.start[0]), float(draw.start[2]))
         yaw = float(draw.start[8])
-    if options.table not in set(Table):
+    if options.table is None:
+        table = Table.CF21_BRUSHLESS if model.name.startswith("cf21b") else Table.CF21
+    elif options.table in set(Table):
+        table = Table(options.table)
+    else:
         raise InputError(f"--table: found {options.table!r}; choose {', '.join(Table)}")
     places, ids, uris = starts(options.count, first), None, None
     if options.fleet is not None:
@@ -171,9 +178,12 @@ def build(options: Options) -> Host:
         vehicles=vehicle_rows(model),
         scene=scene,
     )
+    if options.deck is not None:
+        for index, rng in enumerate(np.random.default_rng(options.seed).spawn(len(fleet))):
+            fleet.decks.fit(index, make_deck(options.deck, rng))
     # The first tick compiles the kernels, which must not happen in flight.
     fleet.advance(1)
-    swarm = VirtualSwarm(fleet, feed_rate=options.feed_poses, table=Table(options.table))
+    swarm = VirtualSwarm(fleet, feed_rate=options.feed_poses, table=table)
     for vehicle in swarm.vehicles:
         vehicle.warm_up()
 

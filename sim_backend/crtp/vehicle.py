@@ -20,6 +20,7 @@ from crazyarena.sim_backend.crtp.memory import MemoryService
 from crazyarena.sim_backend.crtp.packets import NULL_PACKET, Port, Service, parse
 from crazyarena.sim_backend.crtp.params import ParamService
 from crazyarena.sim_backend.crtp.platform import PlatformService
+from crazyarena.sim_backend.crtp.sensors import sensor_getters
 from crazyarena.sim_backend.crtp.supervisor import SupervisorService
 from crazyarena.sim_backend.crtp.toc import Table
 from crazyarena.sim_backend.crtp.variables import getters
@@ -96,7 +97,10 @@ class VirtualCrazyflie:
         self.flight = ArenaVehicle(fleet, index, address)
         self.counters = Counters()
         self.params = ParamService(self.flight, stored, table)
-        self._variables = getters(self.flight.rows)
+        self._variables = {
+            **getters(self.flight.rows),
+            **sensor_getters(fleet, index, table),
+        }
         self._tester = mem.TesterMemory()
         self._variables.update(self._own_variables())
         self.log = LogService(self._read, table)

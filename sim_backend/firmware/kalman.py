@@ -88,6 +88,7 @@ KALMAN_SIZE = KM_RESIDUAL + 3
 MEAS_NONE = 0
 MEAS_POSE = 1
 MEAS_POSITION = 2
+MEAS_FLOW = 3
 
 ATTITUDE_REVERSION = 1e-3
 GRAVITY = 9.81
@@ -346,11 +347,17 @@ def _update(m, k, error, std):
 def kalman_measure(m, kind, measurement, std_position, std_quaternion):
     """Fuse an external position (std in m) and, for MEAS_POSE, a quaternion (std in rad).
 
-    ``measurement`` (7,) is position (m, world) and quaternion x, y, z, w.
+    ``measurement`` (7,) is position (m, world) and quaternion x, y, z, w. For MEAS_FLOW it is
+    velocity x, y (m/s, body), height (m), and their standard deviations (m/s, m).
     """
     m[KM_CHANGED] = 1.0
     # One call in a loop, as the compiler would make six copies of the update.
     for n in range(6 if kind == MEAS_POSE else 3):
+        if kind == MEAS_FLOW:
+            state = 2 if n == 2 else n + 3
+            error = measurement[n] - m[KM_S + state]
+            _update(m, state, error, measurement[4 if n == 2 else 3])
+            continue
         if n == 3:
             w, i, j, k = m[KM_Q], m[KM_Q + 1], m[KM_Q + 2], m[KM_Q + 3]
             qx, qy, qz, qw = measurement[3], measurement[4], measurement[5], measurement[6]

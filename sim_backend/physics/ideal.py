@@ -9,6 +9,9 @@ advances in one call; everybody sees the others where they were one tick before.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from crazyarena.jit import kernel
 from crazyarena.sim_backend.firmware.collision_avoidance import P_ENABLE, avoid_collisions
@@ -225,36 +228,48 @@ def has_landed(mem, memory, t):
     return mem[PL_STATE] == LANDING and is_finished(mem, memory, t)
 
 
+class Motion(NamedTuple):
+    """Rows of all vehicles; the first axis is the vehicle.
+
+    modes: (n,) MODE_*. planner, memory: planner rows and trajectory memories.
+    state, stream, setpoint: MO_* rows: true motion, last streamed setpoint, setpoint in use.
+    """
+
+    modes: np.ndarray
+    planner: np.ndarray
+    memory: np.ndarray
+    state: np.ndarray
+    stream: np.ndarray
+    setpoint: np.ndarray
+
+
+class Avoidance(NamedTuple):
+    """What collision avoidance works on.
+
+    params, last_feasible: its rows, one a vehicle: parameters and memory.
+    peers: (n, n) flags, which vehicles each one avoids.
+    positions: (n, 3) scratch. work: scratch for peers, cell faces and a setpoint row.
+    """
+
+    params: np.ndarray
+    last_feasible: np.ndarray
+    peers: np.ndarray
+    positions: np.ndarray
+    work: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
 @kernel
-def advance_fleet(
-    t,
-    dt,
-    modes,
-    planner,
-    memory,
-    state,
-    stream,
-    setpoint,
-    avoidance,
-    last_feasible,
-    peers,
-    positions,
-    work,
-    max_velocity,
-    disturbance,
-    noise,
-):
+def advance_fleet(t, dt, motion, avoidance, max_velocity, disturbance, noise):
     """Advance every vehicle that is not idle by ``dt`` s to the new time ``t`` (s).
 
     Parameters
     ----------
-    modes: (n,) MODE_*. planner, memory: planner rows and trajectory memories.
-    state, stream, setpoint: MO_* rows: true motion, last streamed setpoint, setpoint in use.
-    avoidance, last_feasible: rows of the collision avoidance: parameters and memory.
-    peers: (n, n) flags, which vehicles each one avoids.
-    positions: (n, 3) scratch. work: scratch for peers, cell faces and a setpoint row.
+    motion, avoidance: plain tuples in the order of :class:`Motion` and :class:`Avoidance`; the
+        type of a named one is read anew, in Python, at every call.
     max_velocity, disturbance: m/s. noise: one row of standard normals per flying vehicle.
     """
+    modes, planner, memory, state, stream, setpoint = motion
+    params, last_feasible, peers, positions, work = avoidance
     n = modes.shape[0]
     for i in range(n):
         for k in range(3):
@@ -265,17 +280,9 @@ def advance_fleet(
         if mode == MODE_IDLE:
             continue
         choose_setpoint(mode, planner[i], memory[i], t, dt, state[i], stream[i], setpoint[i])
-        if avoidance[i, P_ENABLE] != 0.0:
+        if params[i, P_ENABLE] != 0.0:
             _avoid(
-                mode,
-                avoidance[i],
-                last_feasible[i],
-                state[i],
-                positions,
-                peers,
-                i,
-                setpoint[i],
-                work,
+                mode, params[i], last_feasible[i], state[i], positions, peers, i, setpoint[i], work
             )
         follow_setpoint(mode, setpoint[i], dt, max_velocity, disturbance, noise[drawn], state[i])
         drawn += 1

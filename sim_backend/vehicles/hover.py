@@ -8,6 +8,7 @@ limits to 2 cm of that).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from crazyarena.sim_backend.arena_params import PARAM_INDEX
@@ -28,17 +29,27 @@ class Hover:
     mass: float
 
 
-def mellinger_hover(vehicle: Vehicle) -> Hover:
-    """Height at hover of a vehicle under Mellinger's controller, and what to set."""
+def push(vehicle: Vehicle, mass_thrust: float) -> float:
+    """N that the motors make of a newton that Mellinger's controller asks for.
+
+    By ``ctrlMel.massThrust``, the firmware's thrust curve and the strength of the motors.
+    """
+    strength = sum(vehicle.rotors.strength.value) / 4.0
+    return mass_thrust * 4.0 * vehicle.firmware.max_force.value / FULL_SCALE * strength
+
+
+def mellinger_hover(vehicle: Vehicle, told: Mapping[str, float] | None = None) -> Hover:
+    """Height at hover of a vehicle under Mellinger's controller, and what to set.
+
+    ``told`` are firmware parameters that differ from those of the vehicle's file.
+    """
     params = vehicle_rows(vehicle).params
 
     def param(name: str) -> float:
-        return float(params[PARAM_INDEX[f"ctrlMel.{name}"]])
+        name = f"ctrlMel.{name}"
+        return float(told[name]) if told and name in told else float(params[PARAM_INDEX[name]])
 
-    # Thrust that a newton asked for amounts to, by the firmware's thrust curve and by the motors.
-    firm = param("massThrust") * 4.0 * vehicle.firmware.max_force.value / FULL_SCALE
-    strength = sum(vehicle.rotors.strength.value) / 4.0
-    asked = vehicle.body.mass.value / (firm * strength)
+    asked = vehicle.body.mass.value / push(vehicle, param("massThrust"))
     return Hover(_GRAVITY * (asked - param("mass")) / param("kp_z"), asked)
 
 

@@ -33,6 +33,7 @@ class Rows:
     noise: standard deviations of a sample: gyro deg/s, accelerometer g, as the firmware reads.
     offset: (3,) m, of the tracked body's origin from the centre of mass, body axes.
     drawn: share of the battery's charge that is gone when the vehicle is switched on.
+    rotor_speed: rad/s per root of N.
     """
 
     plant: Array
@@ -41,6 +42,7 @@ class Rows:
     noise: tuple[float, float]
     offset: Array
     drawn: float
+    rotor_speed: float
 
 
 def vehicle_rows(vehicle: Vehicle) -> Rows:
@@ -67,6 +69,7 @@ def vehicle_rows(vehicle: Vehicle) -> Rows:
         ),
         offset=np.array(vehicle.markers.offset.value),
         drawn=vehicle.battery.drawn.value,
+        rotor_speed=vehicle.rotors.speed.value,
     )
 
 

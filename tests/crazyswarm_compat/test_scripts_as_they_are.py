@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from crazyarena.clock import WallClock
+from crazyarena.clock import VirtualClock, WallClock
 from crazyarena.crazyswarm_compat import launch
 from crazyarena.crazyswarm_compat.config import load_crazyflies_2
 from crazyarena.crazyswarm_compat.crazyswarm2 import Crazyswarm
+from crazyarena.crazyswarm_compat.link_watch import LinkWatch
 from crazyarena.crazyswarm_compat.options import CrazyswarmWarning
+from crazyarena.crazyswarm_compat.server_files import (
+    LinkLimits,
+    read_motion_capture,
+    read_server,
+)
 from crazyarena.crazyswarm_compat.timehelper import WallTimeHelper
 from crazyarena.crazyswarm_compat.uav_trajectory import Polynomial4D, Trajectory
 from crazyarena.errors import CommandError, InputError
@@ -206,24 +214,137 @@ class TestParameters:
 
 
 class TestFiles:
-    def test_what_is_not_read_is_named(self, tmp_path):
-        path = tmp_path / "crazyflies.yaml"
-        path.write_text(fleet_text("radio://0/10/2M/E7E7E7E7E8"), encoding="utf-8")
-        (tmp_path / "server.yaml").write_text("/crazyflie_server: {}\n", encoding="utf-8")
-        (tmp_path / "motion_capture.yaml").write_text(
-            "/motion_capture_tracking: {ros__parameters: {type: vicon, hostname: 1.2.3.4}}\n",
+    @pytest.fixture
+    def folder(self, tmp_path):
+        (tmp_path / "crazyflies.yaml").write_text(
+            fleet_text("radio://0/10/2M/E7E7E7E7E8"), encoding="utf-8"
+        )
+        return tmp_path
+
+    @staticmethod
+    def refused(folder):
+        """The vehicle list has a link that cannot be, so that nothing is connected."""
+        (folder / "crazyflies.yaml").write_text(
+            fleet_text("radio://0/200/2M/E7E7E7E7E8"), encoding="utf-8"
+        )
+        return pytest.raises(InputError, match=r"uri: found .*; expected")
+
+    def test_what_is_not_read_is_named(self, folder):
+        (folder / "server.yaml").write_text(
+            "/crazyflie_server: {ros__parameters: {sim: {backend: np, max_dt: 0},"
+            " warnings: {communication: {publish_stats: true}}}}\n",
             encoding="utf-8",
         )
-        with pytest.warns(CrazyswarmWarning, match=r"server\.yaml is not read") as told:
-            Crazyswarm(crazyflies_yaml=path, args="--sim --vis null")
-        assert not any("motion_capture" in str(w.message) for w in told)
-        text = "uri: found .*; expected"
-        path.write_text(fleet_text("radio://0/200/2M/E7E7E7E7E8"), encoding="utf-8")
-        with (
-            pytest.raises(InputError, match=text),
-            pytest.warns(CrazyswarmWarning, match=r"is not read: --mocap vicon:1\.2\.3\.4"),
+        with pytest.warns(CrazyswarmWarning, match="not read: sim.backend, sim.max_dt; --backend"):
+            Crazyswarm(crazyflies_yaml=folder / "crazyflies.yaml", args="--sim --vis null")
+        words = "not read: warnings.communication.publish_stats"
+        with self.refused(folder), pytest.warns(CrazyswarmWarning, match=words):
+            Crazyswarm(crazyflies_yaml=folder / "crazyflies.yaml", args="")
+
+    def test_motion_capture_yaml_says_where_poses_come_from(self, folder, capsys):
+        capture = folder / "motion_capture.yaml"
+        text = "/motion_capture_tracking: {ros__parameters: {type: %s, hostname: 1.2.3.4%s}}\n"
+        capture.write_text(text % ("vicon", ""), encoding="utf-8")
+        assert read_motion_capture(folder) == ("vicon:1.2.3.4", None)
+        with self.refused(folder):
+            Crazyswarm(crazyflies_yaml=folder / "crazyflies.yaml", args="")
+        assert "poses from --mocap vicon:1.2.3.4" in capsys.readouterr().err
+        for args in ("--mocap none", "--mocap qualisys:10.0.0.1"):
+            with self.refused(folder):
+                Crazyswarm(crazyflies_yaml=folder / "crazyflies.yaml", args=args)
+            assert "1.2.3.4" not in capsys.readouterr().err
+        capture.write_text(text % ("optitrack", ", mode: libobjecttracker"), encoding="utf-8")
+        spec, remark = read_motion_capture(folder)
+        assert spec == "optitrack:1.2.3.4"
+        assert "'libobjecttracker' is not read" in remark
+        capture.write_text(text % ("mock", ""), encoding="utf-8")
+        spec, remark = read_motion_capture(folder)
+        assert spec is None
+        assert "no poses of real vehicles" in remark
+        capture.write_text(text % ("[1]", ""), encoding="utf-8")
+        with pytest.raises(InputError, match=r"ros__parameters\.type: found \[1\]"):
+            read_motion_capture(folder)
+
+    def test_server_yaml_says_when_a_link_is_worth_a_warning(self, folder):
+        assert read_server(folder, False) is None
+        file = folder / "server.yaml"
+        file.write_text(
+            "/crazyflie_server:\n  ros__parameters:\n    warnings:\n      frequency: 2.0\n"
+            "      motion_capture: {warning_if_rate_outside: [80.0, 120.0]}\n"
+            "      communication: {max_unicast_latency: 10.0, min_unicast_ack_rate: 0.9}\n"
+            "    firmware_params: {query_all_values_on_connect: true}\n",
+            encoding="utf-8",
+        )
+        found = read_server(folder, False)
+        assert found.limits == LinkLimits(0.5, (80.0, 120.0), pytest.approx(0.01), 0.9, None)
+        assert found.read_all
+        assert found.unread == ()
+        for line, words in (
+            ("frequency: 0", "warnings.frequency: found 0; expected a number above 0"),
+            ("motion_capture: {warning_if_rate_outside: [80]}", "expected two numbers"),
+            ("communication: {min_unicast_ack_rate: 90}", "expected a share from 0 to 1"),
         ):
-            Crazyswarm(crazyflies_yaml=path, args="")
+            file.write_text(
+                f"/crazyflie_server: {{ros__parameters: {{warnings: {{{line}}}}}}}\n",
+                encoding="utf-8",
+            )
+            with pytest.raises(InputError, match=re.escape(words)):
+                read_server(folder, False)
+
+
+class Link:
+    """A backend whose link is as bad as a test says."""
+
+    latency, quality, sent, arrived = 0.004, 1.0, 0, 0
+
+    def statistics(self, vehicle):
+        return SimpleNamespace(
+            latency_p50=self.latency, uplink_sent=self.sent, uplink_arrived=self.arrived
+        )
+
+    def telemetry(self, vehicle):
+        return SimpleNamespace(link_quality=self.quality)
+
+
+class TestLinkWatch:
+    limits = LinkLimits(1.0, (80.0, 120.0), 0.01, 0.9, 0.9)
+
+    def heard(self, watch, clock, seconds=1.05):
+        clock.sleep_until(clock.now() + seconds)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            watch.check()
+        return [str(w.message) for w in caught]
+
+    def test_each_trouble_is_named_and_not_all_the_time(self):
+        clock, link, poses = VirtualClock(), Link(), {1: SimpleNamespace(sent=0)}
+        watch = LinkWatch(self.limits, link, {1: "cf1"}, clock, lambda: poses)
+
+        def pass_time(rate):
+            poses[1].sent += round(1.05 * rate)
+            return self.heard(watch, clock)
+
+        assert pass_time(100) == []
+        assert pass_time(100) == []
+        link.latency, link.quality = 0.034, 0.5
+        link.sent, link.arrived = 100, 60
+        assert pass_time(20) == [
+            "cf1: round trip of 34 ms (server.yaml: 10)",
+            "cf1: 50 % of the packets acknowledged (server.yaml: 90)",
+            "cf1: 60 % of the packets arrive (server.yaml: 90)",
+            "cf1: 20 poses a second (server.yaml: 80 to 120)",
+        ]
+        assert pass_time(20) == []
+        for _ in range(8):
+            pass_time(20)
+        assert "cf1: round trip of 34 ms (server.yaml: 10)" in pass_time(20)
+
+    def test_between_two_looks_it_does_not_look(self):
+        clock, link = VirtualClock(), Link()
+        watch = LinkWatch(self.limits, link, {1: "cf1"}, clock, None)
+        link.latency = 0.5
+        assert self.heard(watch, clock, 0.5) == []
+        assert len(self.heard(watch, clock, 0.6)) == 1
 
 
 class TestBattery:

@@ -278,6 +278,7 @@ def test_message_names_line_column_and_field(tmp_path):
         ("quad_type: 3", "quad_type: 2", "quadrotor_config.quad_type", ["3", "found 2"]),
         ("quad_type: 3", "quad_type: true", "quadrotor_config.quad_type", ["found true"]),
         ("pyb_freq: 500", "pyb_freq: 240", "quadrotor_config.pyb_freq", ["500", "240"]),
+        ("use_firmware: True", "use_firmware: False", "use_firmware", ["cmdFirmware", "false"]),
         ("ctrl_freq: 30", "ctrl_freq: 0", "quadrotor_config.ctrl_freq", [">= 1", "0"]),
         ("[2, -1.5, 0, 0, 0, 0, 1]", "[2, -1.5, 0, 0, 0, 1]", "quadrotor_config.gates[1]",
          ["[x, y, z, roll, pitch, yaw, type]", "list of 6"]),

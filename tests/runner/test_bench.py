@@ -55,6 +55,24 @@ def test_over_a_virtual_crazyradio(tmp_path):
     assert document["provenance"]["rig"]["backend"].startswith("radio://")
 
 
+def test_over_a_virtual_crazyradio_by_its_own_estimate(tmp_path):
+    entry = tmp_path / "entry.py"
+    entry.write_text(CIRCLE.format(think=0.0))
+    out = tmp_path / "out"
+    options = ("--link", "radio", "--mocap", "onboard", "--no-dry", "--no-figure")
+    process = crazyarena("bench", entry, "--out", out, *options, *sets(EMPTY))
+    printed, _ = process.communicate(timeout=300)
+    document = json.loads((out / "bench_00" / "result.json").read_text())
+    (episode,) = document["episodes"]
+    assert episode["termination"] == "MAX EPISODE DURATION", printed
+    assert process.returncode == 0
+    lines = {line["name"]: line for line in document["provenance"]["preflight"]["checks"][0]}
+    assert lines["cf1 deck"]["found"] == "lighthouse"
+    assert not lines["cf1 heading"]["checked"]
+    (told,) = [event for event in episode["events"] if event["event"] == "safety: own_estimate"]
+    assert "wrong_body" in told["detail"]
+
+
 def test_a_killed_bench_leaves_no_process(tmp_path):
     entry = tmp_path / "entry.py"
     entry.write_text(CIRCLE.format(think=0.0))

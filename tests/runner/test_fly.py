@@ -54,6 +54,20 @@ def test_fly_in_simulation_is_the_dry_run(run, tmp_path):
     assert origin["machine"]["cpus"] >= 1
 
 
+@pytest.mark.parametrize("deck", ["lighthouse", "flow"])
+def test_it_flies_by_its_own_estimate(deck, run, tmp_path):
+    common = ["pilot.py", "--level", "sim2real", *NEAR, "--compute", "free", "--no-figure"]
+    options = ["--mocap", "onboard", "--mocap-option", f"deck={deck}"]
+    flown = run("fly", *common, "--backend", "sim", *options, "--out", "a")
+    assert flown.exit_code == 0, flown.output
+    document = json.loads((tmp_path / "a/result.json").read_text())
+    assert document["provenance"]["rig"]["mocap"] == f"onboard ({deck})"
+    (told,) = [e for e in episode(tmp_path / "a")["events"] if e["event"] == "safety: own_estimate"]
+    assert "not checked are wrong_body" in told["detail"]
+    lines = document["provenance"]["preflight"]["checks"][0]
+    assert {line["name"] for line in lines if not line["checked"]} >= {"cf1 heading", "arena clear"}
+
+
 def test_it_does_not_fly_what_it_cannot_record(run, tmp_path):
     (tmp_path / "a/episode_000.mcap.part").mkdir(parents=True)
     result = run("fly", "pilot.py", *NEAR, "--backend", "sim", "--out", "a", "--no-figure")
@@ -121,6 +135,31 @@ def test_what_the_contestant_is_told_is_recorded(run, tmp_path):
         (["dry-run", "--compute", "fixed"], "fixed=MS"),
         (["fly", "--backend", "sim", "--survey", "nowhere.json"], "nowhere.json"),
         (["fly", "--backend", "sim", "--waive", "cf2 battery"], "no such line"),
+        (["fly", "--uri", "udp://127.0.0.1:1", "--mocap", "onboard"], "--survey FILE"),
+        (
+            ["fly", "--uri", "udp://127.0.0.1:1", "--mocap", "onboard", "--mocap-host", "x"],
+            "has no host",
+        ),
+        (
+            ["fly", "--backend", "sim", "--mocap", "onboard", "--mocap-option", "deck=gps"],
+            "choose lighthouse or flow",
+        ),
+        (
+            ["fly", "--backend", "sim", "--mocap", "onboard", "--mocap-option", "rate=5"],
+            "unknown option 'rate'",
+        ),
+        (
+            [
+                "fly",
+                "--backend",
+                "sim",
+                "--mocap",
+                "onboard",
+                "--set",
+                "track.gates=[{x: 0, y: 0, yaw: 0, type: low, tracked: true}]",
+            ],
+            "gates that move have to be seen",
+        ),
         (
             ["fly", "--uri", "udp://127.0.0.1:1", "--mocap", "zenoh", "--dead-man", "key"],
             "terminal",

@@ -14,18 +14,19 @@ from crazyarena.sim_backend.vehicles import load_vehicle
 def test_the_edge_is_found(edge):
     asked = []
 
-    def completes(value):
+    def end_of(value):
         asked.append(value)
-        return value <= edge
+        return None if value <= edge else f"ended at {value:g}"
 
-    value, beyond = mg.largest(completes, 0.0, 1.0)
-    assert not beyond
+    value, end = mg.largest(end_of, 0.0, 1.0)
+    # How it ends is told of the value next to the edge.
+    assert end == f"ended at {min(v for v in asked if v > edge):g}"
     assert edge - 1.0 / 32.0 <= value <= edge
     assert len(asked) == 6
 
 
 def test_what_fails_nowhere_is_said_to_go_beyond():
-    assert mg.largest(lambda value: True, 0.0, 1.0) == (1.0, True)
+    assert mg.largest(lambda value: None, 0.0, 1.0) == (1.0, None)
 
 
 def test_conditions_are_fields_of_the_vehicle_and_of_the_cameras():
@@ -55,8 +56,9 @@ def test_each_number_is_varied_alone_and_all_verdicts_are_told(monkeypatch):
     found = {m.axis.name: m for m in result.margins}
     assert found["rotor lag"].value == pytest.approx(0.11, abs=0.01)
     assert found["drag"].value == pytest.approx(2.0, abs=0.15)
-    assert found["weakness"].beyond
-    assert found["camera noise"].beyond
+    assert found["rotor lag"].end == "collision"
+    assert found["weakness"].end is None
+    assert found["camera noise"].end is None
     assert result.verdicts[0.12, 1.0] == "collision"
     assert result.verdicts[0.10, 1.5] == "completed"
     assert len(result.verdicts) == 18

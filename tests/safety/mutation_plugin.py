@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from crazyarena.safety import gate, guard, preflight, watchdog
+from crazyarena.safety import gate, guard, preflight, tipping, watchdog
 from crazyarena.safety.admission import parameters, plans
 from crazyarena.safety.admission.fitters import FITTERS
 from crazyarena.safety.admission.room import Room
@@ -84,7 +84,7 @@ OTHERS: dict[str, tuple[Callable[[], None], str]] = {
         _without(HeadingWatch, "update", lambda self, *args: self.now),
         "test_heading.py",
     ),
-    "nose": (_without(preflight, "nose_between", lambda own, body: 0.0), "test_preflight.py"),
+    "nose": (_without(tipping, "nose_between", lambda own, body: 0.0), "test_preflight.py"),
     "axes": (_without(preflight, "explain_axes", lambda *args: None), "test_preflight.py"),
     "lean": (_without(preflight, "_LEANS", math.inf), "test_preflight.py"),
     "frame_rate": (

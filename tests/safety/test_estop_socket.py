@@ -445,3 +445,21 @@ def test_senders_of_another_user_are_refused_where_no_folder_keeps_them_out(
 def test_nowhere_at_all_is_bad_input(stop, tmp_path):
     with pytest.raises(InputError, match="XDG_RUNTIME_DIR"):
         SocketSource(stop, tmp_path / "missing")
+
+
+def test_a_session_that_can_is_asked_to_land_and_does_not_stop(stop, link, tmp_path):
+    reasons = []
+    source = SocketSource(stop, tmp_path, lambda text: None, reasons.append)
+    try:
+        assert answers(tmp_path, land=True, reason="wind") == ["landing"]
+        assert reasons == ["wind"]
+        assert not link.stopped.is_set()
+        assert answers(tmp_path)[0].startswith("stopped")
+        assert link.stopped.is_set()
+    finally:
+        source.close()
+
+
+def test_a_session_without_a_watchdog_says_that_it_cannot_land(source, link, tmp_path):
+    assert answers(tmp_path, land=True) == ["refused: nothing here can land it"]
+    assert not link.stopped.is_set()

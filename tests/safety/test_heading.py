@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from crazyarena.runner.campaign.turned import fly_turned
 from crazyarena.safety.heading import GRAVITY, HeadingWatch, Turned
+from crazyarena.safety.limits import Limits
 
 RATE = 100.0  # Hz
 ANGLES = st.floats(-math.pi, math.pi)
@@ -126,17 +127,39 @@ def test_far_turned_is_cut_before_it_gets_away(degrees):
     assert abs(math.remainder(float(told) - degrees, 360.0)) < 25.0
 
 
+@pytest.mark.parametrize("degrees", [45, -45, 135])
+def test_a_vehicle_that_rises_straight_up_is_cut_before_it_is_high(degrees):
+    flight = fly_turned(math.radians(degrees), 3, climb=2.0)
+    assert flight.taken[0] == "body_turned_far"
+    assert flight.height < 0.3
+    assert flight.way < 0.1
+
+
+def test_a_little_turned_is_named_in_a_calm_flight():
+    flight = fly_turned(math.radians(-20), 4, climb=2.5)
+    assert flight.warned < 3.0
+    assert flight.taken == ()
+    (told,) = re.findall(r"turned by (\S+) deg against", flight.told)
+    assert float(told) == pytest.approx(-20, abs=5)
+
+
+@pytest.mark.parametrize("climb", [None, 2.0])
+def test_ten_degrees_are_nobodys_business_in_any_flight(climb):
+    flight = fly_turned(math.radians(10), 5, climb=climb)
+    assert (flight.told, flight.taken) == ("", ())
+
+
+def test_without_the_nudge_a_straight_climb_shows_little():
+    # What the nudge is for; if this fails, it is no longer needed.
+    flight = fly_turned(math.radians(45), 3, climb=2.0, limits=Limits(nudge=0.0))
+    assert not flight.height < 0.3
+
+
 def test_a_little_turned_is_told_and_flown():
-    flight = fly_turned(math.radians(20), 0)
+    flight = fly_turned(math.radians(20), 1)
     assert flight.warned < 3.0
     assert flight.taken == ()
     assert "turned by +" in flight.told
-
-
-def test_ten_degrees_are_nobodys_business():
-    flight = fly_turned(math.radians(10), 0)
-    assert flight.told == ""
-    assert flight.taken == ()
 
 
 def test_a_yaw_that_slowly_turns_is_cut():

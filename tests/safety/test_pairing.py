@@ -5,13 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crazyarena.safety.pairing import Pairing
+from crazyarena.safety.pairing import _LAG, Pairing
 from crazyarena.types import Telemetry, VehicleState
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 
 def told(time, omega, rates_at=None):
+    # Rates are a little older than they say.
+    time = time + _LAG
+    rates_at = None if rates_at is None else rates_at + _LAG
     state = VehicleState(
         time, np.zeros(3), np.zeros(3), np.array(LEVEL), np.asarray(omega, dtype=float)
     )

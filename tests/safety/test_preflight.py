@@ -13,13 +13,17 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from crazyarena.clock import VirtualClock
-from crazyarena.errors import InputError
+from crazyarena.errors import BackendError, InputError
 from crazyarena.levels import load_level
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
 from crazyarena.mocap.frames import pose_to_y_up
+from crazyarena.runner.rig.flight_model import foretold
 from crazyarena.safety import preflight as pf
+from crazyarena.safety import tipping
 from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.rehearsal import Rehearsals
+from crazyarena.sim_backend.vehicles import load_vehicle
+from crazyarena.sim_backend.vehicles.hover import mellinger_hover
 from crazyarena.types import Pose, Telemetry, VehicleState
 
 LEVEL = load_level("sim2real")
@@ -69,6 +73,46 @@ def vehicle(p: pf.Preflight, **changes) -> pf.Preflight:
 
 def telemetry(p: pf.Preflight, **changes) -> pf.Preflight:
     return vehicle(p, telemetry=replace(p.vehicles[0].telemetry, **changes))
+
+
+@pytest.mark.parametrize(
+    ("fields", "params", "words"),
+    [
+        ([], {}, None),
+        (["body.mass=0.0379"], {}, "set ctrlMel.mass to 0.0392"),
+        (["rotors.strength=[0.8, 0.8, 0.8, 0.8]"], {}, "or ctrlMel.massThrust to 187"),
+        (["body.mass=0.0379", "firmware.params={ctrlMel.mass: 0.039}"], {}, None),
+        # What the vehicle itself has counts, where its file does not set it.
+        (["firmware.params={}"], {"ctrlMel.mass": 0.024}, "set ctrlMel.mass"),
+        (["firmware.params={}"], {"ctrlMel.mass": 0.033}, None),
+        (["rotors.strength=[0.6, 0.6, 0.6, 0.6]"], {}, "make it lighter"),
+    ],
+)
+def test_a_vehicle_that_hovers_low_is_told_what_to_set(fields, params, words):
+    def parameter(name):
+        if name not in params:
+            raise BackendError(f"no {name}")
+        return params[name]
+
+    facts = foretold(load_vehicle("cf21plus", fields), 2, parameter)
+    p = vehicle(ready(), model=facts)
+    assert red(p) == ([] if words is None else ["cf1 model"])
+    (line,) = [line for line in p.run() if line.name == "cf1 model"]
+    assert "cf21plus: lifts" in line.found
+    if words is not None:
+        assert words in line.remedy
+        if "ctrlMel.mass" in words:
+            low = facts.flies.low
+            assert f"{100 * abs(low):.0f} cm {'below' if low > 0 else 'above'}" in line.found
+        for value in ("mass", "massThrust"):
+            right = {f"ctrlMel.{value}": facts.mass if value == "mass" else facts.mass_thrust}
+            told = {**params, **load_vehicle("cf21plus", fields).firmware.params, **right}
+            assert abs(mellinger_hover(load_vehicle("cf21plus", fields), told).low) < 1e-3
+
+
+def test_under_the_pid_height_is_kept():
+    heavy = load_vehicle("cf21plus", ["body.mass=0.0379"])
+    assert red(vehicle(ready(), model=foretold(heavy, 1, lambda name: math.nan))) == []
 
 
 def test_everything_in_order_is_green():
@@ -201,10 +245,10 @@ def test_slow_governor_and_late_timer(tmp_path: Path):
 
 def test_tipping_names_the_body():
     bodies = {"cf1": Pose(START, turned(roll=0.5)), "cf2": Pose(START + 1, UPRIGHT)}
-    assert pf.tipped_body(bodies, turned(roll=0.45)) == "cf1"
-    assert pf.tipped_body(bodies, UPRIGHT) is None
+    assert tipping.tipped_body(bodies, turned(roll=0.45)) == "cf1"
+    assert tipping.tipped_body(bodies, UPRIGHT) is None
     bodies["cf2"] = Pose(START, turned(roll=0.5))
-    assert pf.tipped_body(bodies, turned(roll=0.45)) is None
+    assert tipping.tipped_body(bodies, turned(roll=0.45)) is None
 
 
 angles = st.floats(-math.pi, math.pi)
@@ -216,7 +260,7 @@ def test_tipping_tells_between_the_noses(nose, own_yaw, true_yaw, size, directio
     tipped = Rotation.from_rotvec(size * np.array(axis))
     own = Rotation.from_euler("z", own_yaw) * tipped
     body = Rotation.from_euler("z", true_yaw) * tipped * Rotation.from_euler("z", nose)
-    found = pf.nose_between(own.as_quat(), body.as_quat())
+    found = tipping.nose_between(own.as_quat(), body.as_quat())
     assert abs(math.remainder(found - nose, math.tau)) < 1e-6
 
 

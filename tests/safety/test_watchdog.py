@@ -42,6 +42,7 @@ class Vehicle:
         self.fed: list[float] = []
         self.broken = False
         self.telemetry_time: float | None = None
+        self.estimate_apart = 0.0
         self.battery = 3.8
         self.first_command = threading.Event()
 
@@ -53,7 +54,8 @@ class Vehicle:
 
     def telemetry(self, vehicle: int) -> Telemetry:
         now = self.clock.now()
-        state = VehicleState(now, self.position.copy(), self.velocity.copy(), LEVEL, ZERO)
+        own = self.position + (self.estimate_apart, 0.0, 0.0)
+        state = VehicleState(now, own, self.velocity.copy(), LEVEL, ZERO)
         time = now if self.telemetry_time is None else self.telemetry_time
         return Telemetry(time, self.battery, 1.0, -50.0, FLYING, state)
 
@@ -174,6 +176,53 @@ def test_frozen_poses_count_as_stale():
         rig.frame(repeat=True)
     assert rig.watchdog.action(1) is Action.HOLD
     assert rig.rules == {"pose_stale"}
+
+
+def test_by_its_own_estimate_a_vehicle_may_repeat_itself_but_not_fall_silent():
+    rig = Rig(independent=False)
+    rig.fly()
+    for _ in range(60):
+        rig.setpoint()
+        rig.frame(repeat=True)
+    assert rig.watchdog.action(1) is Action.NONE
+    for _ in range(20):
+        rig.setpoint()
+        rig.frame(accepted=False)
+    assert rig.watchdog.action(1) is Action.HOLD
+    assert "pose_stale" in rig.rules
+
+
+def test_by_its_own_estimate_it_says_once_what_is_not_checked():
+    rig = Rig(independent=False)
+    rig.fly()
+    told = [event for event in rig.watchdog.events if event.rule == "own_estimate"]
+    (event,) = told
+    assert event.severity is Action.WARN
+    for rule in ("wrong_body", "body_turned", "strangers"):
+        assert rule in event.detail
+    # A vehicle that contradicts itself is none.
+    rig.vehicle.estimate_apart = 2.0
+    rig.fly()
+    assert rig.rules == {"own_estimate"}
+    rig.watchdog.renew()
+    rig.fly()
+    assert len([e for e in rig.watchdog.events if e.rule == "own_estimate"]) == 2
+
+
+def test_outside_the_fence_by_its_own_estimate_it_is_taken_over():
+    rig = Rig(independent=False)
+    rig.fly()
+    rig.vehicle.position = np.array([3.05, 0.0, 1.0])
+    rig.fly(0.1)
+    assert rig.watchdog.action(1) >= Action.HOLD
+
+
+def test_a_vehicle_elsewhere_than_the_cameras_say_is_landed():
+    rig = Rig()
+    rig.fly()
+    rig.vehicle.estimate_apart = 2.0
+    rig.fly(0.5)
+    assert "wrong_body" in rig.rules
 
 
 def test_rejected_poses_and_swaps_are_seen():

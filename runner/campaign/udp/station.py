@@ -14,7 +14,7 @@ import math
 import queue
 import threading
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import cast
 
 import numpy as np
@@ -41,7 +41,7 @@ from crazyarena.runner.trial.phases import Crew
 from crazyarena.runner.trial.tracked_world import TrackedWorld
 from crazyarena.safety.events import SafetyEvent
 from crazyarena.safety.fence import Fence
-from crazyarena.safety.limits import PID_BRAKING, Limits
+from crazyarena.safety.limits import Limits
 from crazyarena.sim_backend.crazyradio.environment import with_dongles
 
 # What befalls the contestant and the control loop.
@@ -163,8 +163,7 @@ class Station:
 
 
 def _limits(level: Level, plan: Plan) -> Limits:
-    limits = limits_for(level.control_frequency, _MISSES)
-    return limits if plan.mellinger else replace(limits, braking=PID_BRAKING)
+    return plan.limits(limits_for(level.control_frequency, _MISSES))
 
 
 def _ready(rig: Rig, level: Level, plan: Plan) -> None:

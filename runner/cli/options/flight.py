@@ -44,6 +44,19 @@ Late = Annotated[
 MaxMisses = Annotated[
     int, typer.Option(min=1, help="Missed ticks in a row after which the contestant is out.")
 ]
+StepLimit = Annotated[
+    float,
+    typer.Option(
+        metavar="S",
+        help="Wall time of one answer, s, where thinking is free or fixed.",
+    ),
+]
+EpisodeLimit = Annotated[
+    float, typer.Option(metavar="S", help="Wall time of all answers of an episode, s.")
+]
+TrialLimit = Annotated[
+    float, typer.Option(metavar="S", help="Wall time of all answers and hooks of a trial, s.")
+]
 RequireSandbox = Annotated[
     bool, typer.Option("--require-sandbox", help="Refuse to fly without a full sandbox.")
 ]
@@ -61,12 +74,17 @@ def flight_options(
     compute_factor: ComputeFactor = 1.0,
     late: Late = LateChoice.HOLD,
     max_misses: MaxMisses = 15,
+    step_limit: StepLimit = 30.0,
+    episode_limit: EpisodeLimit = 600.0,
+    trial_limit: TrialLimit = 3600.0,
     require_sandbox: RequireSandbox = False,
 ) -> FlightOptions:
     """A group of options: deadlines, the cost of thinking, the contestant's process."""
+    from crazyarena.runner.contestant.compute import Budget
     from crazyarena.runner.trial.options import FlightOptions
 
     return FlightOptions(
+        budget=Budget(step_limit, episode_limit, trial_limit),
         require_sandbox=require_sandbox,
         compute=compute,
         factor=compute_factor,

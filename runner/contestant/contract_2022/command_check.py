@@ -72,7 +72,22 @@ def _shown(value: Any) -> str:
     return f"{text if len(text) <= 80 else text[:77] + '...'} ({type(value).__name__})"
 
 
+def _is_text(value: Any) -> bool:
+    """Whether NumPy or float() would read numbers out of text, which no vehicle of 2022 did."""
+    if isinstance(value, np.ndarray):
+        # Objects may be anything; of numbers the kind says it.
+        return value.dtype.kind in "USO" and any(map(_is_text, value.ravel().tolist()))
+    if isinstance(value, list | tuple):
+        return any(map(_is_text, value))
+    return isinstance(value, str | bytes | bytearray)
+
+
 def _number(value: Any, verb: str, argument: str, step: int, positive: bool = False) -> float:
+    if type(value) is not float and _is_text(value):
+        raise CommandError(
+            f"step {step}: {verb} argument '{argument}' is text, {_shown(value)}; expected one "
+            "number. Convert it with float()"
+        )
     try:
         number = float(value) if not isinstance(value, np.ndarray) else float(value.item())
     except (TypeError, ValueError, OverflowError) as error:
@@ -91,6 +106,11 @@ def _number(value: Any, verb: str, argument: str, step: int, positive: bool = Fa
 
 
 def _vector(value: Any, verb: str, argument: str, step: int) -> NDArray[np.float64]:
+    if _is_text(value):
+        raise CommandError(
+            f"step {step}: {verb} argument '{argument}' holds text, {_shown(value)}; expected "
+            "three numbers. Convert them with float()"
+        )
     try:
         # A copy: the controller may go on writing to its own array.
         vector = np.array(value, dtype=np.float64)

@@ -67,9 +67,8 @@ def model(level: Level) -> SimpleNamespace:
     """
     cs = _casadi()
     nx, nu = 12, 4
-    # The step of the environment, which in firmware mode is not the control period.
-    rate = level.physics_frequency if level.use_firmware else level.control_frequency
-    dt = 1.0 / rate
+    # The step of the environment, which is not the control period.
+    dt = 1.0 / level.physics_frequency
     x, u = cs.MX.sym("x", nx), cs.MX.sym("u", nu)
     x_eval, u_eval = cs.MX.sym("x_eval", nx), cs.MX.sym("u_eval", nu)
     x_dot, y = _dynamics(cs, level, x, u), x

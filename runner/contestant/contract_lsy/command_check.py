@@ -10,6 +10,15 @@ from numpy.typing import NDArray
 from crazyarena.errors import CommandError
 
 
+def _holds_text(answer: Any) -> bool:
+    """Whether NumPy would read numbers out of text."""
+    if isinstance(answer, np.ndarray):
+        return answer.dtype.kind in "USO" and any(map(_holds_text, answer.ravel().tolist()))
+    if isinstance(answer, list | tuple):
+        return any(map(_holds_text, answer))
+    return isinstance(answer, str | bytes | bytearray)
+
+
 def checked_command(answer: Any, size: int, step: int) -> NDArray[np.float64]:
     """The command as (size,) finite numbers.
 
@@ -22,6 +31,11 @@ def checked_command(answer: Any, size: int, step: int) -> NDArray[np.float64]:
         if size == 13
         else ("[roll, pitch, yaw, thrust]")
     )
+    if not isinstance(answer, str | bytes) and _holds_text(answer):
+        raise CommandError(
+            f"step {step}: compute_control returned text among its numbers; expected {size} "
+            f"numbers {what}. Convert them with float()"
+        )
     try:
         command = np.array(answer, dtype=np.float64)
     except (TypeError, ValueError):

@@ -26,6 +26,7 @@ from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.dialogue import Answer, Question
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.contestant.sandbox import bubblewrap, quota, wire
+from crazyarena.runner.contestant.sandbox.announce import announcement
 from crazyarena.runner.contestant.sandbox.box import Box
 from crazyarena.runner.contestant.sandbox.confine import may_mount, open_to_others, readable
 from crazyarena.runner.contestant.sandbox.limits import Limits
@@ -74,6 +75,10 @@ class Sandboxed:
     ) -> None:
         self.path = submission.expanduser().resolve()
         self._limits = limits or Limits()
+        self._require = require
+        self._begin()
+
+    def _begin(self) -> None:
         self._step: int | None = None
         self._ticket = 0
         self._asked_at = 0.0
@@ -86,13 +91,21 @@ class Sandboxed:
         self._shown, self.digest, self._box = self._copied()
         try:
             self._start()
-            self.description = self._await_ready(require)
+            self.description = self._await_ready(self._require)
             self._request(
                 "load", self._loading(), self._limits.make_timeout, "importing the submission"
             )
         except BaseException:
             self.close()
             raise
+
+    def _renew(self) -> None:
+        """A process that has ended, or was ended, is followed by one that knows nothing of it."""
+        flown = self.digest
+        self.close()
+        self._begin()
+        if self.digest != flown:
+            raise InputError(f"{self._shown}: changed while it was flown; fly it again")
 
     def _copied(self) -> tuple[Path, str, Box]:
         """File to name in messages, digest, and the box with a copy of the submission."""
@@ -122,9 +135,10 @@ class Sandboxed:
         track = level.track.model_copy(update={"gates": still})
         public = level.model_copy(update={"seed": 0, "track": track})
         payload = (obs, public, start)
-        if self._step is not None:
-            # An earlier episode ended without the answer to its last question.
-            self.wait(self._limits.make_timeout)
+        if self._step is not None and self.wait(self._limits.make_timeout) is None:
+            self.kill()  # it still thinks about the last question of an earlier episode
+        if self._process is None or self._process.poll() is not None:
+            self._renew()
         self._request("make", payload, self._limits.make_timeout, "Controller(...)")
 
     def ask(self, question: Question) -> None:
@@ -477,14 +491,6 @@ class Sandboxed:
     def _last_words(self) -> str:
         words = shown(self._box.last_output()).strip()
         return f"\nIts last output:\n{words}" if words else ""
-
-
-def announcement(description: dict[str, Any]) -> str:
-    """What is in force, for the terminal, of a contestant in a process of its own."""
-    walls = ", ".join(description["sandbox"]) or "none"
-    missing = description["missing"]
-    text = f"Contestant in its own process; sandbox: {walls}"
-    return text if not missing else f"{text}. NOT shut off: {', '.join(missing)}"
 
 
 class _Dead(Exception):

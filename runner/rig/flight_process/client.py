@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from crazyarena.clock import WallClock
@@ -17,6 +18,7 @@ from crazyarena.errors import BackendError
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level
 from crazyarena.mocap.estimator import BodyEstimate, PoseEstimator
+from crazyarena.mocap.onboard import KIND as ONBOARD
 from crazyarena.mocap.opening import SourceSpec
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.mocap.source import SourceStatus
@@ -30,6 +32,7 @@ from crazyarena.runner.timing.wakeup import StampedClock
 from crazyarena.safety.events import SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import Limits
+from crazyarena.safety.own_estimate import OwnEstimate
 from crazyarena.sim_backend.vehicles import Vehicle, load_vehicle
 from crazyarena.sim_backend.vehicles.rows import told_params
 from crazyarena.types import Pose, PoseFrame, Telemetry
@@ -172,7 +175,10 @@ class RemoteSafeguard:
     so, and the vehicle counts as taken.
     """
 
-    def __init__(self, process: FlightProcess, clock: FlightClock, fence: Fence) -> None:
+    def __init__(
+        self, process: FlightProcess, clock: FlightClock, fence: Fence, limits: Limits
+    ) -> None:
+        self.limits = limits
         self._process = process
         self._clock = clock
         self._terminal: list[Any] | None = None
@@ -192,6 +198,11 @@ class RemoteSafeguard:
     def verdict(self) -> str | None:
         self._process.listen()
         return self._process.lost or self._process.status.verdict
+
+    @property
+    def ladder(self) -> str:
+        """As told last."""
+        return self._process.status.ladder
 
     def hand_over(self, rule: str) -> None:
         with contextlib.suppress(BackendError):
@@ -320,6 +331,10 @@ def connected(
         estimator = PoseEstimator((body,))
         estimator.warm_up()
         process.await_ready()
+        backend = RemoteBackend(process, vehicle)
+        onboard = None
+        if source.kind == ONBOARD:
+            onboard = OwnEstimate.of(partial(backend.get_param, vehicle), source.options)
         listeners = FrameListeners()
         pipeline = RemotePipeline(
             _Frames(process),
@@ -332,13 +347,13 @@ def connected(
         process.close()
         raise
     clock.process, clock.pipeline = process, pipeline
-    guard = RemoteSafeguard(process, clock, Fence.from_level(level))
+    guard = RemoteSafeguard(process, clock, Fence.from_level(level), limits or Limits())
     about: dict[str, object] = {"backend": uri, "flight_process": process.notes}
     if model is not None:
         about["vehicle"] = model.name
     return Rig(
         clock,
-        RemoteBackend(process, vehicle),
+        backend,
         pipeline,
         listeners,
         vehicle,
@@ -348,4 +363,5 @@ def connected(
         {**about, **(description or {})},
         [process.close, guard.close_keys],
         lambda: process.lost,
+        onboard=onboard,
     )

@@ -135,6 +135,7 @@ class FlightServer:
             guard.over,
             None if stop is None else stop.source,
             guard.held,
+            guard.ladder,
         )
 
     def _tick(self) -> None:

@@ -60,7 +60,7 @@ class Status:
 
     verdict: why the run must end; over: the watchdog has brought the vehicle to a safe end;
     stopped: source of the emergency stop; held: when the operator last held the dead-man's
-    key, s on the session clock.
+    key, s on the session clock; ladder: where the watchdog's stands, by name.
     """
 
     telemetry: Telemetry
@@ -69,6 +69,7 @@ class Status:
     over: bool = False
     stopped: str | None = None
     held: float = -np.inf
+    ladder: str = "NONE"
 
 
 Message = PoseFrame | Call | Reply | Status

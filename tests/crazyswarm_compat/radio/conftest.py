@@ -6,6 +6,7 @@ import contextlib
 import threading
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from crazyarena.clock import WallClock
@@ -16,13 +17,17 @@ from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.crtp.server import VirtualServer
 from crazyarena.sim_backend.crtp.swarm import VirtualSwarm
 from crazyarena.sim_backend.crtp.toc import Table
+from crazyarena.sim_backend.decks import make_deck
 
 
 class Hangar:
     """Virtual vehicles with ids 1, 2, ..., and what a test wants to know of them."""
 
-    def __init__(self, count, port, feed_rate=0.0, table=Table.CF21, **faults):
+    def __init__(self, count, port, feed_rate=0.0, table=Table.CF21, deck=None, **faults):
         self.fleet = ArenaFleet([[0.0, 0.7 * k, 0.0] for k in range(count)])
+        if deck is not None:
+            for k in range(count):
+                self.fleet.decks.fit(k, make_deck(deck, np.random.default_rng(k)))
         # Compiled here, so that the server never stalls over it in flight.
         dry = ArenaFleet([[0.0, 0.0, 0.0]])
         dry.advance(50)

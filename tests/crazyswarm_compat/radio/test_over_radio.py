@@ -17,6 +17,7 @@ from crazyarena.crazyswarm_compat.radio import (
     LinkUp,
     RadioBackend,
     RadioOptions,
+    VehicleRestarted,
 )
 from crazyarena.errors import BackendError
 from crazyarena.sim_backend.crazyradio.environment import with_dongles
@@ -112,12 +113,21 @@ def test_emergency_stop_of_all(connected):
 
 def test_a_reboot_is_an_outage_and_the_backend_comes_back(connected, vehicles):
     backend = connected(1, reconnect=True, reconnect_interval=0.5)
+    eventually(lambda: backend.telemetry(1).supervisor is not None)
     vehicles.command("reboot")
     eventually(lambda: any(isinstance(e, LinkLost) for e in backend._events._events))
     lost = [e for e in backend.take_events() if isinstance(e, LinkLost)]
     assert "nothing heard" in lost[0].reason or "too many packets lost" in lost[0].reason
     eventually(lambda: backend.connected(1))
-    assert [e for e in backend.take_events() if isinstance(e, LinkUp)]
+    events = []
+
+    def restarted():
+        events.extend(backend.take_events())
+        return [e for e in events if isinstance(e, VehicleRestarted)]
+
+    eventually(restarted)
+    assert [e for e in events if isinstance(e, LinkUp)]
+    assert len(restarted()) == 1
 
 
 def test_an_unplugged_dongle_is_named_and_plugged_in_again_it_goes_on(connected, vehicles):
@@ -158,6 +168,53 @@ def test_nothing_is_left_when_it_is_closed(connected, vehicles):
         timeout=60,
     )
     assert done.stdout.strip() == "0.53", done.stderr
+
+
+@pytest.mark.parametrize(
+    "happens", ["unplug 0", "cf1 cut 60s", "cf1 reboot", "loss 20%", "latency 50ms"]
+)
+def test_nothing_is_left_whatever_has_happened(happens, connected, vehicles):
+    before = threading.active_count()
+    backend = connected(2, reconnect=True, reconnect_interval=0.2, link_timeout=0.5)
+    vehicles.command(happens)
+    if happens in ("unplug 0", "cf1 cut 60s", "cf1 reboot"):
+        eventually(lambda: any(isinstance(e, LinkLost) for e in backend._events._events))
+    else:
+        eventually(lambda: (backend.statistics(1).latency_p50 or 0.0) > 0.0)
+    backend.close()
+    vehicles.command("cut 0s")
+    eventually(lambda: threading.active_count() <= before, 30.0)
+
+
+def test_another_program_may_have_the_dongle_afterwards(connected, vehicles):
+    """Two clients: the second is told who is in its way, and the first does not notice."""
+    backend = connected(1)
+    program = (
+        "from crazyarena.clock import WallClock\n"
+        "from crazyarena.crazyswarm_compat.config import FleetConfig, VehicleConfig\n"
+        "from crazyarena.crazyswarm_compat.radio import RadioBackend\n"
+        f"cf = VehicleConfig(1, 'cf1', (0.0, 0.0, 0.0), uri={vehicles.uris[0]!r})\n"
+        "RadioBackend(FleetConfig((cf,), 'test'), WallClock()).close()\n"
+        "print('connected')\n"
+    )
+
+    def second():
+        return subprocess.run(
+            [sys.executable, "-c", program],
+            env=with_dongles(vehicles.air),
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+
+    done = second()
+    assert "Resource busy" in done.stderr
+    assert "does no other program hold it?" in done.stderr
+    assert backend.connected(1)
+    assert not [e for e in backend.take_events() if isinstance(e, LinkLost)]
+    backend.close()
+    done = second()
+    assert "connected" in done.stdout, done.stderr
 
 
 def test_a_tenth_lost_is_only_slower(connected, vehicles):

@@ -48,6 +48,23 @@ def test_ready(world):
         assert hangar.info(k + 1) & 2  # armed
 
 
+@pytest.mark.parametrize("deck", ["lighthouse", "flow"])
+def test_ready_by_its_own_deck(deck, world):
+    hangar, backend = world(2, fed=False, deck=deck)
+    backend.prepare(Preparation(onboard=True))
+    for k in range(2):
+        assert hangar.info(k + 1) & 2  # armed
+        estimate = hangar.fleet.telemetry(k).state.position
+        np.testing.assert_allclose(estimate, hangar.position(k + 1), atol=0.1)
+
+
+def test_without_a_deck_it_is_not_ready(world):
+    _, backend = world(fed=False, deck=None)
+    # Virtual vehicles carry a flow deck that sees nothing, but for those of a simulation build.
+    with pytest.raises(BackendError, match=r"did not converge.*standard deviation"):
+        backend.prepare(Preparation(onboard=True, convergence_timeout=2.0))
+
+
 def test_no_poses(world):
     _, backend = world(fed=False)
     with pytest.raises(BackendError, match=r"cf1: no external poses are coming in \(none yet\)"):

@@ -42,6 +42,16 @@ def test_a_flight_stays_inside(seed):
     assert outcome.passed > 0
 
 
+def test_avoidance_on_board_does_not_throw_about_what_the_watchdog_lands():
+    box = ([-2.3, -2.0, 1.11], [1.6, 3.1, 2.5])
+    calls = (
+        Call("goTo", ([1.8, 0.9, 1.98], 0.1, 2.7), 1.7),
+        Call("enableCollisionAvoidance", box, 3.0),
+        Call("goTo", ([2.7, -0.8, 0.3], 1.0, 2.9), 2.6),
+    )
+    assert not fly(Script(0, "box", "refuse", 2, 1, "", calls)).is_bad(ALLOWED)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("policy", ["clamp", "refuse"])
 @pytest.mark.parametrize("seed", range(3000, 3030))

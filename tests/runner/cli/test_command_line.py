@@ -181,6 +181,33 @@ def test_bad_input_exits_2_with_one_message(cli, pilot, tmp_path, files, argumen
     assert not any(p.is_file() for p in (tmp_path / "runs").rglob("*"))
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["arena-check", "--height", "nan"],
+        ["virtual-cf", "--port", "0", "--mocap-rate", "inf"],
+        ["dry-run", "--compute-factor", "nan"],
+        ["bench", "--mocap-rate", "nan"],
+    ],
+)
+def test_numbers_that_are_not_finite_are_refused_by_name(cli, words):
+    shown = cli(*words)
+    assert shown.exit_code == 2
+    assert words[-2] in shown.output
+
+
+def test_a_controller_that_prints_without_end_is_cut_off_and_told_of_once(cli, tmp_path):
+    (tmp_path / "edit_this.py").write_text(
+        controller("print('\\x1b[2J' + 'x' * 200_000)\n        return Command.NONE, []")
+    )
+    options = ["--set", "done_on_collision=false", "--set", "episode_length=2.0"]
+    shown = cli("dry-run", tmp_path, "--episodes", 2, "--out", "r", "--no-figure", *options)
+    assert shown.output.count("no more of it is shown") == 1
+    assert 2**20 < len(shown.output) < 2**20 + 5000
+    assert "\x1b[2J" not in shown.output
+    assert "Results in" in shown.output
+
+
 def test_wrong_option_exits_2(cli, pilot):
     assert cli("dry-run", pilot, "--episodes", 0).exit_code == 2
 

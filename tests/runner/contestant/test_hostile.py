@@ -466,8 +466,11 @@ def test_times_are_the_judges(tmp_path):
     )
     episode, _ = fly(file)
     assert episode.error is None
-    assert episode.interstep_learning_average >= 0.05
-    assert episode.compute_ms["p50"] >= 20.0
+    # Where between learning and commanding a busy machine puts the word that it has learned is
+    # its own affair; together they cannot have been shorter.
+    command, learning = episode.compute_ms["p50"] / 1e3, episode.interstep_learning_average
+    assert command + learning >= 0.07
+    assert min(command, learning) >= 0.01
 
 
 def test_a_contestant_may_not_use_up_everybodys_day(tmp_path):

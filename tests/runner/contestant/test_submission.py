@@ -325,3 +325,29 @@ class TestBadInput:
             submission.make([0.0] * 12, {})
         assert "edit_this.py" in str(caught.value)
         assert "contestant.py" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("files", "told"),
+    [
+        (
+            {"edit_this.py": "import helper", "helper.py": "from edit_this import Controller"},
+            "'edit_this' is a module of the submission, and was still being imported",
+        ),
+        (
+            {"edit_this.py": "from helper import nothing", "helper.py": "x = 1"},
+            "'helper' is a module of the submission, which has no such name",
+        ),
+        (
+            {"edit_this.py": "import a", "a.py": "import b", "b.py": "from a import c"},
+            "'a' is a module of the submission, and was still being imported",
+        ),
+    ],
+)
+def test_own_modules_that_fail_are_not_taken_for_packages(tmp_path, files, told):
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    with pytest.raises(InputError) as caught:
+        Submission(tmp_path, tmp_path / "work")
+    assert told in str(caught.value)
+    assert "not installed" not in str(caught.value)

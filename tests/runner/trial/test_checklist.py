@@ -19,6 +19,7 @@ from crazyarena.runner.trial.tracked_world import TrackedWorld
 from crazyarena.safety.rehearsal import Rehearsals
 from crazyarena.sim_backend.firmware.supervisor import INFO_ARMED
 from crazyarena.sim_backend.physics.arena_plant import AB_CHARGE, AB_VOLTS, AP_CAPACITY
+from crazyarena.sim_backend.vehicles import load_vehicle
 from crazyarena.types import Pose
 from tests.runner.trial.test_phases import QUICK
 
@@ -36,9 +37,9 @@ class Wall:
 def stand(tmp_path):
     worlds = []
 
-    def make(battery=1.0, place=(0.0, 0.0), stranger=None, **options):
-        level = load_level("sim2real")
-        rig = simulated(level, 5)
+    def make(battery=1.0, place=(0.0, 0.0), stranger=None, deck=None, sets=(), **options):
+        level = load_level("sim2real", sets)
+        rig = simulated(level, 5, deck=deck)
         world = TrackedWorld(rig)
         worlds.append(world)
         draw = LevelRandom(level).reset()
@@ -88,14 +89,25 @@ def test_a_vehicle_in_order_may_fly(stand):
 
 
 def test_every_line_can_be_waived_and_nothing_else(stand, tmp_path):
-    _, crew, checklist, _ = stand(uri=URI, waive=names("cf1"))
+    _, crew, checklist, _ = stand(uri=URI, waive=names("cf1"), vehicle=load_vehicle())
     crew.prepare()
     (lines,) = checklist.record()["checks"]
-    assert sorted(line["name"] for line in lines) == sorted(names("cf1"))
+    without_cameras = {"cf1 deck", "cf1 certain"}
+    assert {line["name"] for line in lines} == set(names("cf1")) - without_cameras
     with pytest.raises(InputError, match=r"no such line .* cf1 battery"):
         check_waivers(["cf2 battery"], "cf1")
     with pytest.raises(InputError, match="no such line"):
         stand(waive=["batery"])
+
+
+def test_a_vehicle_that_would_hover_low_grounds_where_there_are_people(stand):
+    heavy = load_vehicle("cf21plus", ["body.mass=0.04"])
+    _, crew, _, _ = stand(uri=URI, vehicle=heavy)
+    with pytest.raises(Aborted, match=r"cf1 model: .* below its setpoint \(set ctrlMel\.mass to"):
+        crew.prepare()
+    # In simulation that is what is flown, to see what becomes of it.
+    _, crew, _, _ = stand(vehicle=heavy)
+    crew.prepare()
 
 
 def test_a_low_battery_grounds_unless_waived(stand):
@@ -179,3 +191,54 @@ def test_a_damaged_record_remembers_nothing(tmp_path, text):
     assert damaged.body("a") == (None, math.inf)
     damaged.note_stop()
     assert damaged.stop_age() == 0.0
+
+
+@pytest.mark.parametrize("deck", ["lighthouse", "flow"])
+def test_without_cameras_it_says_what_is_not_checked(deck, stand):
+    _, crew, checklist, _ = stand(deck=deck)
+    track = crew.prepare()
+    assert track.source == "measured by hand"
+    (lines,) = checklist.record()["checks"]
+    by_name = {line["name"]: line for line in lines}
+    assert [line["name"] for line in lines if not line["ok"]] == []
+    unchecked = {line["name"] for line in lines if not line["checked"]}
+    assert unchecked >= {"arena clear", "world axes", "cf1 heading", "cf1 agrees with cameras"}
+    assert ("cf1 at start" in unchecked) == (deck == "flow")
+    assert by_name["cf1 deck"]["found"] == deck
+
+
+def test_a_vehicle_that_is_not_sure_of_its_place_is_grounded(stand):
+    rig, crew, _, _ = stand(deck="lighthouse")
+    fleet = rig.safeguard.gate._backend._fleet
+    fleet.decks = type(fleet.decks)()  # no base station in sight
+    with pytest.raises(Aborted, match="sure of its place to"):
+        crew.prepare()
+
+
+POLE = [
+    "track.gates=[{x: 0.0, y: 0.0, yaw: 0.0, type: low}]",
+    "track.obstacles=[{x: 0.0, y: 0.05}]",
+]
+
+
+def test_a_pole_in_a_gate_s_opening_grounds_unless_waived(stand):
+    still = "randomization.gates_and_obstacles="
+    _, crew, _, _ = stand(sets=[*POLE, still])
+    with pytest.raises(Aborted, match=r"gates free: obstacle1 stands in the opening of gate1.*"):
+        crew.prepare()
+    _, crew, checklist, said = stand(sets=[*POLE, still], waive=["gates free"])
+    crew.prepare()
+    assert checklist.record()["waived"] == ["gates free"]
+    assert "waived: gates free" in said[0]
+
+
+def test_a_surveyed_track_is_what_counts(stand):
+    level = load_level("sim2real")
+    from crazyarena.safety.placement import nominal_track
+
+    poses = nominal_track(level)
+    gate = poses["gate1"]
+    poses["obstacle1"] = Pose(gate.position + (0.0, 0.0, 0.0), gate.quaternion)
+    _, crew, _, _ = stand(surveyed=poses)
+    with pytest.raises(Aborted, match="obstacle1 stands in the opening of gate1"):
+        crew.prepare()

@@ -51,7 +51,9 @@ def remembering(made):
     return Arena
 
 
-def fly(tmp_path, trouble="pass", overrides=(), on_step=None, episodes=3, entry=None):
+def fly(
+    tmp_path, trouble="pass", overrides=(), on_step=None, episodes=3, entry=None, contestant=None
+):
     """Results of some episodes of a vehicle that rises to a metre, and the rig it had."""
     if entry is None:
         entry = tmp_path / "rise.py"
@@ -63,7 +65,7 @@ def fly(tmp_path, trouble="pass", overrides=(), on_step=None, episodes=3, entry=
         rig = simulated(level, 3)
     (arena,) = arenas
     world = TrackedWorld(rig)
-    contestant = InProcess(Submission(entry, tmp_path))
+    contestant = contestant or InProcess(Submission(entry, tmp_path))
     try:
         crew = Crew(rig, world, level, anywhere=True)
         result = Trial(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from crazyarena.crazyswarm_compat import commands as cs
-from crazyarena.errors import DependencyMissing, InputError
+from crazyarena.errors import DependencyMissing
 from crazyarena.levels import load_level
 from crazyarena.runner.contestant.in_process import InProcess
 from crazyarena.runner.contestant.submission import Submission
@@ -212,11 +212,6 @@ def test_ctrl_c_keeps_what_was_flown(fly, tmp_path, where):
     assert result.episodes[0].steps == (31 if where == "elsewhere" else 30)
     assert (out / "episode_000.mcap").is_file()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_sim_only_levels_are_refused(fly):
-    with pytest.raises(InputError, match="use_firmware"):
-        fly(controller(), ["use_firmware=false", "physics_frequency=240"], episodes=1)
 
 
 def test_initial_info(fly):

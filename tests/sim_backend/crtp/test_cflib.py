@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import random
 import re
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -26,8 +29,21 @@ from crazyarena.sim_backend.crtp.toc import log_entries, param_entries
 from tests.sim_backend.crtp.virtual_process import VirtualProcess, virtual_process
 
 _COUNT = 10
-# An address of this machine that nothing else uses, so that scanning its fixed ports is safe.
-_HOST = "127.0.7.1"
+_PORTS = range(19850, 19850 + _COUNT)  # cflib scans these and no others
+
+
+def _own_address() -> str:
+    """An address of this machine on which nobody has the ports that cflib scans."""
+    while True:
+        address = f"127.{random.randint(1, 254)}.{random.randint(0, 254)}.{random.randint(1, 254)}"
+        with contextlib.ExitStack() as stack, contextlib.suppress(OSError):
+            for port in _PORTS:
+                probe = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+                probe.bind((address, port))
+            return address
+
+
+_HOST = _own_address()
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 import textwrap
-import time
 
 from crazyarena.sim_backend.firmware import supervisor as sv
 from tests.sim_backend.crtp.virtual_process import Observer, virtual_process
+from tests.waiting import eventually
 
 # A ground station made of public cflib calls: takes off, then feeds the watchdog at 10 Hz.
 _GROUND = textwrap.dedent(
@@ -38,26 +38,18 @@ def test_sigkill_of_the_ground_station_stops_the_motors() -> None:
         ground = subprocess.Popen(
             [sys.executable, "-c", _GROUND, vehicle.uris[0]], stdout=subprocess.PIPE, text=True
         )
+        observer = Observer(vehicle.uris[0])
         try:
             assert ground.stdout is not None
+            # It has been fed for longer than the watchdog waits, and flies.
             assert ground.stdout.readline().strip() == "flying"
+            flying = observer.info()
         finally:
-            killed = time.monotonic()
             ground.kill()
             ground.wait()
-        observer = Observer(vehicle.uris[0])
-        assert observer.info() & sv.INFO_FLYING
-        seen: list[tuple[float, int]] = []
-        while time.monotonic() - killed < 10.0:
-            seen.append((time.monotonic() - killed, observer.info()))
-            if seen[-1][1] & sv.INFO_LOCKED:
-                break
-            time.sleep(0.01)
+        assert flying & sv.INFO_FLYING
+        assert flying & sv.INFO_CAN_FLY
+        # A dead stream of setpoints would lock too, but there is none in a high-level flight.
+        eventually(lambda: observer.info() & sv.INFO_LOCKED, 30.0)
+        assert not observer.info() & sv.INFO_CAN_FLY
         observer.close()
-    locked_after, info = seen[-1]
-    assert info & sv.INFO_LOCKED
-    assert not info & sv.INFO_CAN_FLY
-    # 1000 ms after the last feed, which was at most some 100 ms before the kill: not at once. A
-    # dead stream of setpoints would lock too, but there is none in a high-level flight.
-    assert any(after > 0.3 and bits & sv.INFO_FLYING for after, bits in seen)
-    assert 0.5 < locked_after < 5.0

@@ -11,13 +11,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.sim_backend.arena import ArenaFleet
 from crazyarena.sim_backend.arena_params import PARAMS
 from crazyarena.sim_backend.crtp.console import ConsoleService
 from crazyarena.sim_backend.crtp.log import MAX_BLOCKS
 from crazyarena.sim_backend.crtp.setpoints import compress_quaternion
 from crazyarena.sim_backend.crtp.toc import TYPES, Table, log_entries, param_entries
-from crazyarena.sim_backend.crtp.vehicle import Hardware
+from crazyarena.sim_backend.crtp.vehicle import Hardware, VirtualCrazyflie
+from crazyarena.sim_backend.decks import make_deck
 from crazyarena.sim_backend.firmware.supervisor import INFO_CRASHED, INFO_FLYING
+from crazyarena.sim_backend.vehicles import load_vehicle, vehicle_rows
 from tests.sim_backend.crtp.recordings import Bench, param_id
 
 
@@ -244,6 +248,49 @@ def test_what_every_vehicle_has_and_a_simulation_build_lacks() -> None:
     assert "colAv.enable" not in recorded
     by_name = {entry.name: entry.boot for entry in param_entries(Table.RECORDED)}
     assert by_name["locSrv.extQuatStdDev"] == pytest.approx(0.05)
+
+
+def _told(vehicle: VirtualCrazyflie) -> dict[str, float]:
+    return {entry.name: vehicle._read(i) for i, entry in enumerate(vehicle.log.entries)}
+
+
+def test_sensors_that_follow_from_what_is_simulated() -> None:
+    model = vehicle_rows(load_vehicle("cf21b"))
+    fleet = ArenaFleet([(0.0, 0.0, 0.0)], vehicles=model)
+    vehicle = VirtualCrazyflie(fleet, 0, table=Table.CF21_BRUSHLESS)
+    ground = _told(vehicle)
+    assert ground["motor.m1rpm"] == 0.0
+    fleet.external_truth()
+    fleet.advance(500)
+    fleet.send(c.Takeoff(1.0, 1.5), 0)
+    for _ in range(250):
+        fleet.external_truth()
+        fleet.advance(10)
+    flying = _told(vehicle)
+    # What carries the vehicle, at the speed that its rotors have for it.
+    each = 9.81 * model.plant[0] / 4.0
+    expected = 30.0 / math.pi * 5103.0 * math.sqrt(each)
+    for motor in range(1, 5):
+        assert flying[f"motor.m{motor}rpm"] == pytest.approx(expected, rel=0.1)
+    assert flying["baro.asl"] - ground["baro.asl"] == pytest.approx(1.0, abs=0.1)
+    assert ground["baro.pressure"] - flying["baro.pressure"] == pytest.approx(0.12, abs=0.015)
+    assert flying["ctrlMel.accelz"] == pytest.approx(1.0, abs=0.1)
+    assert _told(VirtualCrazyflie(fleet, 0, table=Table.CF21))["motor.m1rpm"] == 0.0
+
+
+def test_decks_tell_what_they_see() -> None:
+    fleet = ArenaFleet([(0.0, 0.0, 0.4), (1.0, 2.0, 0.0)])
+    fleet.decks.fit(0, make_deck("flow", np.random.default_rng(0)))
+    fleet.decks.fit(1, make_deck("lighthouse", np.random.default_rng(0)))
+    flow, lighthouse = (VirtualCrazyflie(fleet, index) for index in range(2))
+    assert _told(flow)["range.zrange"] == pytest.approx(400.0)
+    fleet.advance(100)
+    told = _told(lighthouse)
+    assert told["lighthouse.status"] == 2
+    assert told["lighthouse.bsActive"] == 3
+    place = [told[f"lighthouse.{axis}"] for axis in "xyz"]
+    np.testing.assert_allclose(place, [1.0, 2.0, 0.0], atol=0.1)
+    assert _told(flow)["lighthouse.status"] == 0
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ class Observer:
         host, _, port = uri.removeprefix("udp://").partition(":")
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.connect((host, int(port)))
-        self._socket.settimeout(1.0)
+        self._socket.settimeout(20.0)
 
     def info(self) -> int:
         self._socket.send(bytes.fromhex("9c0c"))
