@@ -9,11 +9,11 @@ TAKE_OFF = 0.4  # s, straight up, while the rotors begin to turn
 LIFT, LIFT_LATE = 4.0, 0.12  # m/s2, s
 SWINGS = ((0.35, 0.0), (0.7, 0.0), (0.35, 0.35))  # m, first guesses
 ROUGH, FINE = 80, 170  # evaluations of a route, on the ground
-EVALUATIONS = 10  # of a route in a step, in flight
+AT_ONCE, EVALUATIONS = 14, 9  # in a step, in flight: when something has moved, and afterwards
 AHEAD = 0.06  # s, from the thought to the route
-ROUNDS = 7  # of that, after something has moved
+ROUNDS = 6  # of that, after something has moved
 LOST = 0.3  # s, after which a gate that should have been passed is flown to once more
-STRETCHES = (1.0, 1.6)  # of the next pieces, where a detour is too sharp
+STRETCH = 1.6  # of the next pieces, where a detour is too sharp
 YAW_RATE = 1.5  # rad/s
 MOVED = 0.005  # m, of anything in sight, that makes it plan anew
 UNSEEN = 0.12  # m, that poles nobody has seen are thought to be thicker
@@ -81,7 +81,7 @@ class Navigator:
             self.told, self.rounds = self._track(obs), ROUNDS
             here = np.array(obs["pos"], float), np.array(obs["vel"], float)
             start = State(here[0] + AHEAD * here[1], here[1], np.zeros(3))
-            self.next = self._plan(obs, gates, t + AHEAD, start)
+            self._plan(obs, gates, t + AHEAD, start)
             return
         # The route may be past a gate that the drone has not quite reached.
         first = self._legs() - len(gates)  # of the route's gates, the one to be passed next
@@ -90,42 +90,40 @@ class Navigator:
             self.told, self.rounds = self._track(obs), ROUNDS
             here = np.array(obs["pos"], float), np.array(obs["vel"], float)
             start = State(here[0] + AHEAD * here[1], here[1], np.zeros(3))
-            guess = first_guess(start, gates, *SWINGS[0])
-            self.next = self._plan(obs, gates, t + AHEAD, start, guess)
+            self._plan(obs, gates, t + AHEAD, start, first_guess(start, gates, *SWINGS[0]))
             return
         track = self._track(obs)
-        moved = np.abs(track - self.told).max() >= MOVED
-        if moved:
+        if np.abs(track - self.told).max() >= MOVED:
+            # At once, bent to what is seen as far as a step allows.
             self.told, self.rounds = track, ROUNDS
-        elif self.rounds <= 0:
-            return
-        begin = t if moved else t + AHEAD
-        passed = sum(time <= begin for time in self.route.gate_times)
-        gates = gates[max(0, passed - first) :]
-        if not gates:
-            return
-        start = State(*self.route.at(begin))
-        if moved:
-            # At once, bent to what is seen, or slower: as far as a step allows.
-            plans = [self._plan(obs, gates, begin, start, stretch=s) for s in STRETCHES]
-            self.route = min((plan.route for plan in plans), key=lambda route: route.cost)
+            ahead, evaluations = 0.0, AT_ONCE
+        elif self.rounds > 0:
+            ahead, evaluations = AHEAD, EVALUATIONS
         else:
-            self.next = self._plan(obs, gates, begin, start)
+            return
+        passed = sum(time <= t + ahead for time in self.route.gate_times)
+        gates = gates[max(0, passed - first) :]
+        if gates:
+            start = State(*self.route.at(t + ahead))
+            self._plan(obs, gates, t + ahead, start, evaluations=evaluations)
+            if ahead == 0.0:
+                self.route, self.next = self.next.route, None
 
     def _legs(self):
         """How many gates the route passes."""
         return len(self.route.duration) // 2 - 1
 
-    def _plan(self, obs, gates, begin, start, guess=None, stretch=1.0):
+    def _plan(self, obs, gates, begin, start, guess=None, evaluations=EVALUATIONS):
         """Begin a route that is taken from ``begin`` on."""
         if guess is None:
             p, v, a, duration = self.route.left_at(begin, len(gates))
-            duration[:3] *= stretch
-            v[1:3] /= stretch
+            # What costs much more than it lasts breaks a limit: try it slower.
+            if self.rounds < ROUNDS and self.route.cost > 1.15 * (self.route.end - begin) + 0.3:
+                duration[:3] *= STRETCH
+                v[1:3] /= STRETCH
             guess = p, v, a, duration
-        plan = Planning(start, gates, self._walls(obs), self.limits, begin, guess)
-        plan.advance(EVALUATIONS)
-        return plan
+        self.next = Planning(start, gates, self._walls(obs), self.limits, begin, guess)
+        self.next.advance(evaluations)
 
     def reference(self, t):
         """Position, velocity, acceleration as rows (3, 3) at a time, s since the first step."""
