@@ -19,7 +19,9 @@ from scipy.spatial.transform import Rotation
 
 from crazyarena.errors import InputError
 from crazyarena.levels.draw import Draw, _NoiseStream
+from crazyarena.levels.load import load_level
 from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, Nominal
+from crazyarena.levels.lsy.load import is_lsy_level, load_lsy_level
 from crazyarena.levels.lsy.schema import LsyLevel
 from crazyarena.levels.schema import (
     Arena,
@@ -48,6 +50,7 @@ FASTEST = 100
 """Hz, up to which commands go to a vehicle in an arena."""
 _BELOW = -0.1  # m, under which the fence begins: vehicles stand on the floor
 _POLE = 0.95  # m, that an obstacle of ours is high
+_ANYWHERE = 5.0  # m, the largest tolerance of a start
 _MIDDLE = 1.0  # m, from which on a gate is a tall one
 
 
@@ -99,6 +102,20 @@ def arena_level(level: LsyLevel, seed: int) -> Level:
         ) from None
 
 
+def bare_arena(name_or_path: str, overrides: Sequence[str] = ()) -> Level:
+    """The arena of a level by its name or file, of ours or of lsy_drone_racing; the latter without
+    its track, whose bodies have origins of their own.
+
+    Raises
+    ------
+    InputError: as :func:`load_level` and :func:`load_lsy_level`.
+    """
+    if not is_lsy_level(name_or_path):
+        return load_level(name_or_path, overrides)
+    level = arena_level(load_lsy_level(name_or_path, overrides), 0)
+    return level.model_copy(update={"track": Track()})
+
+
 def _span(yaw: float) -> float:
     """Direction (rad) that a gate spans which is flown through along ``yaw``."""
     return math.remainder(yaw + 0.5 * math.pi, 2.0 * math.pi)
@@ -112,6 +129,8 @@ def start_offsets(level: LsyLevel) -> tuple[Array, Array] | None:
 
 
 def _start_reach(level: LsyLevel) -> float:
+    if not level.deploy.check_drone_start_pos:
+        return _ANYWHERE
     offsets = start_offsets(level)
     if offsets is None:
         return 0.15
@@ -175,6 +194,7 @@ __all__ = [
     "ArenaDraws",
     "arena_level",
     "as_draw",
+    "bare_arena",
     "poles_of",
     "quaternions_of",
     "rows_of",

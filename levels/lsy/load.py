@@ -21,6 +21,7 @@ _OURS = ("rng", "name", "profile")
 # Keys that are known, and without influence on a flight here.
 _KNOWN = {
     "": {"deploy", "controller", "sim", "env"},
+    "deploy": {"real_track_objects", "drones"},
     "controller": {"file"},
     "sim": {"render", "camera", "cam_config", "camera_view", "dynamics"},
     "env": {"kwargs"},

@@ -273,6 +273,13 @@ class LsyController(Open):
     file: str = ""
 
 
+class LsyDeploy(Open):
+    """What is looked at before a real race."""
+
+    check_race_track: Flag = True
+    check_drone_start_pos: Flag = True
+
+
 class LsyLevel(Open):
     """One level of lsy_drone_racing; see the module's text for units and frames."""
 
@@ -280,6 +287,7 @@ class LsyLevel(Open):
     rng: LsyRng = LsyRng.PCG64
     profile: LsyProfile = LsyProfile.SUCCESSOR
     controller: LsyController = Field(default_factory=LsyController)
+    deploy: LsyDeploy = Field(default_factory=LsyDeploy)
     sim: LsySim = Field(default_factory=LsySim)
     env: LsyEnv
     config: dict[str, Any] = Field(default_factory=dict)

@@ -38,13 +38,13 @@ def arena_check(
     """
     with bad_input_exits():
         from crazyarena.errors import InputError
-        from crazyarena.levels import load_level
+        from crazyarena.levels.lsy.arena import bare_arena
         from crazyarena.mocap.survey import write_taped
         from crazyarena.runner.records.arena_figure import save_arena
         from crazyarena.safety.fence import Fence
         from crazyarena.safety.placement import nominal_track, obstructions
 
-        chosen = load_level(level, set_ or ())
+        chosen = bare_arena(level, set_ or ())
         fence = Fence.from_level(chosen)
         low, high = fence.bounds
         typer.echo(f"{chosen.name}: hard fence {list(low)} .. {list(high)} m")

@@ -56,13 +56,20 @@ def mocap_survey(
 
         from crazyarena.clock import WallClock
         from crazyarena.levels import load_level
+        from crazyarena.levels.lsy import is_lsy_level, load_lsy_level
         from crazyarena.mocap.survey import SurveyConfig, survey, write_track
         from crazyarena.runner.rig.cameras import open_named_source
+        from crazyarena.safety.lsy_placement import lsy_allowed, lsy_nominal
         from crazyarena.safety.placement import allowed, nominal_track, obstructions
 
-        flown = load_level(level)
-        nominal = nominal_track(flown)
-        rules = allowed(flown)
+        theirs = is_lsy_level(level)
+        if theirs:
+            lsy = load_lsy_level(level)
+            nominal, rules, moving = lsy_nominal(lsy), lsy_allowed(lsy), list[str]()
+        else:
+            flown = load_level(level)
+            nominal, rules = nominal_track(flown), allowed(flown)
+            moving = [f"gate{i + 1}" for i in flown.track.tracked]
         if tolerance is not None:
             reach = (-tolerance, tolerance)
             rules = {name: replace(rule, x=reach, y=reach) for name, rule in rules.items()}
@@ -71,8 +78,8 @@ def mocap_survey(
             report = survey(
                 _frames(source, clock, timeout),
                 nominal,
-                SurveyConfig(frames=frames, allowed=rules, full_turn=False),
-                [f"gate{i + 1}" for i in flown.track.tracked],
+                SurveyConfig(frames=frames, allowed=rules, full_turn=theirs),
+                moving,
             )
         for measured in report.bodies:
             typer.echo(
@@ -83,7 +90,7 @@ def mocap_survey(
         if not report.accepted:
             typer.echo(shown("\n".join(report.problems)))
             raise typer.Exit(EXIT_NOT_CLEAN)
-        blocked = obstructions(flown, report.track())
+        blocked = [] if theirs else obstructions(flown, report.track())
         if blocked:
             typer.echo(shown("\n".join(blocked)))
             raise typer.Exit(EXIT_NOT_CLEAN)

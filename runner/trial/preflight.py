@@ -14,7 +14,8 @@ from typing import Any
 
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import BackendError, CommandError, InputError
-from crazyarena.levels import Level, load_level
+from crazyarena.levels import Level
+from crazyarena.levels.lsy.arena import bare_arena
 from crazyarena.mocap.estimator import BodyEstimate, Freshness
 from crazyarena.mocap.onboard import KIND as ONBOARD
 from crazyarena.mocap.onboard import OnboardSource, certainty
@@ -127,7 +128,7 @@ def gather(wanted: Wanted, say: Callable[[str], None]) -> Preflight:
     """
     clock = WallClock()
     vehicles = wanted.vehicles()
-    flown = load_level(wanted.level, wanted.overrides)
+    flown = bare_arena(wanted.level, wanted.overrides)
     _, model = resolve(flown, wanted.vehicle)
     wanted.stops.check()
     with contextlib.ExitStack() as stack:

@@ -58,3 +58,11 @@ def test_the_start_has_ranges_of_its_own():
     assert start_problem(level, x + 0.1, y - 0.1) is None
     assert "in x" in start_problem(level, x + 0.12, y)
     assert "in y" in start_problem(load_lsy_level("lsy/level0"), x, y + 0.06)
+
+
+def test_checks_that_the_level_leaves_out_are_left_out():
+    level = load_lsy_level(
+        "lsy/level2", ["deploy.check_race_track=false", "deploy.check_drone_start_pos=false"]
+    )
+    assert judged(level, "gate1", (1.0, -1.0, 0.4), (0.3, 0.3, 2.0)) is None
+    assert start_problem(level, 1.0, 1.0) is None

@@ -66,8 +66,7 @@ def test_bad_input_exits_with_2(call):
         (STATE, ("dry-run", "mine.py", "--secret", "--seed", "1"), "exclude each other"),
         (STATE, ("evaluate", "mine.py", "--secret", "--set", "rng=threefry"), "pcg64"),
         (STATE, ("dry-run", "mine.py", "--secret", "--no-sandbox"), "exclude each other"),
-        (STATE, ("arena-check", "lsy/level0"), "flown by dry-run, evaluate, bench and fly"),
-        (STATE, ("arena-check", "none.toml"), "flown by dry-run, evaluate, bench and fly"),
+        (STATE, ("arena-check", "none.toml"), "no such level file"),
         (HEAD + "x = 1\n", ("evaluate", "mine.py", "--level", "lsy/level1"), "level lsy/level1"),
     ]
     for source, arguments, words in wrong:
@@ -108,6 +107,16 @@ def test_the_arena_profile_is_chosen_as_for_other_levels(call, tmp_path):
     document = json.loads((tmp_path / "o" / "result.json").read_text())
     assert document["provenance"]["profile"] == "arena"
     assert document["episodes"][0]["termination"] == "FINISHED", result.output
+
+
+def test_an_arena_is_checked_and_a_survey_is_by_the_level(call, tmp_path):
+    checked = call(STATE, "arena-check", "lsy/level2", "--out", "arena.png")
+    assert checked.exit_code == 0, checked.output
+    assert "[-2.5, -1.5, -0.1] .. [2.5, 1.5, 2.0]" in checked.output
+    assert (tmp_path / "arena.png").is_file()
+    survey = call(STATE, "mocap-survey", "--level", "lsy/level9", "--mocap", "vicon")
+    assert survey.exit_code == 2
+    assert "lsy/level0" in survey.output or "No such" in survey.output
 
 
 def test_levels_are_listed_and_shown(call):
