@@ -135,6 +135,15 @@ def _attitude(k: _Checker, m: c.Attitude) -> None:
         k.fail("thrust", m.thrust, "0..65535")
 
 
+def _angles(k: _Checker, m: c.RollPitchYawThrust) -> None:
+    k.number("roll", m.roll)
+    k.number("pitch", m.pitch)
+    k.number("yaw", m.yaw)
+    k.number("thrust", m.thrust, low=0)
+    if m.thrust > 65535:
+        k.fail("thrust", m.thrust, "0..65535")
+
+
 def _upload(k: _Checker, m: c.UploadTrajectory) -> None:
     k.byte("trajectoryId", m.trajectory_id)
     k.byte("pieceOffset", m.piece_offset)
@@ -213,6 +222,7 @@ _CHECKS: dict[type, tuple[str, Callable[[_Checker, Any], None] | None]] = {
     c.VelocityWorld: ("cmdVelocityWorld", _velocity),
     c.Hover: ("cmdHover", _hover),
     c.Attitude: ("cmdVel", _attitude),
+    c.RollPitchYawThrust: ("rollPitchYawThrust", _angles),
     c.CutMotors: ("cmdStop", None),
     c.Emergency: ("emergency", None),
     c.Arm: ("arm", None),

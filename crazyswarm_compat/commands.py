@@ -118,6 +118,21 @@ class Attitude:
 
 
 @dataclass(frozen=True, slots=True)
+class RollPitchYawThrust:
+    """Streamed setpoint: roll, pitch rad (positive pitch is nose down) and heading ``yaw`` rad,
+    thrust 0..65535.
+
+    The legacy packet (CRTP port 3), which says a yaw *rate* unless the vehicle's parameter
+    ``flightmode.stabModeYaw`` is 1; the firmware takes at most 60000 of the thrust.
+    """
+
+    roll: float
+    pitch: float
+    yaw: float
+    thrust: int
+
+
+@dataclass(frozen=True, slots=True)
 class CutMotors:
     """Streamed setpoint: motors off now; a later setpoint may start them again."""
 
@@ -219,7 +234,8 @@ Command: TypeAlias = (
     | SetParam
     | SetLed
     | CollisionAvoidance
+    | RollPitchYawThrust
 )
 
 # Setpoints: they count until the next one, which must not be long in coming.
-STREAMED = (FullState, Position, VelocityWorld, Hover, Attitude)
+STREAMED = (FullState, Position, VelocityWorld, Hover, Attitude, RollPitchYawThrust)

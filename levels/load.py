@@ -97,7 +97,7 @@ def _existing(text: str) -> Path:
     if text.startswith("lsy/") or text.endswith(".toml"):
         raise InputError(
             f"{text}: levels of lsy_drone_racing (lsy/level0 ... lsy/level3, TOML files) are flown "
-            "by dry-run and evaluate, with its controllers. Pass one of "
+            "by dry-run, evaluate, bench and fly, with its controllers. Pass one of "
             f"{', '.join(shipped_levels())}, or a YAML file"
         )
     path = Path(text)

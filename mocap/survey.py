@@ -32,12 +32,23 @@ _SLOWEST = 4  # frames from one sight of a body to the next, at most
 
 @dataclass(frozen=True, slots=True)
 class Allowed:
-    """How far a body may be from nominal: ``(low, high)`` of x, y, z in m and of yaw in rad."""
+    """How far a body may be from nominal: ``(low, high)`` of x, y, z in m and of yaw in rad.
+
+    roll, pitch: the same of the fixed-axis angles, rad, for what need not stand upright; None:
+    it must.
+    """
 
     x: tuple[float, float]
     y: tuple[float, float]
     z: tuple[float, float]
     yaw: tuple[float, float]
+    roll: tuple[float, float] | None = None
+    pitch: tuple[float, float] | None = None
+
+    @property
+    def leans(self) -> bool:
+        """Whether it need not stand upright."""
+        return self.roll is not None or self.pitch is not None
 
 
 def misplaced(
@@ -57,14 +68,30 @@ def misplaced(
                 f"stands {value * 1e2:+.1f} cm from its nominal place in {axis}; "
                 f"{low * 1e2:+.1f} to {high * 1e2:+.1f} cm are allowed"
             )
-    low, high = allowed.yaw
-    turn = _turned(pose, nominal, full_turn)
-    if not low <= turn <= high:
-        return (
-            f"is turned by {math.degrees(turn):+.1f} degrees against nominal; "
-            f"{math.degrees(low):+.1f} to {math.degrees(high):+.1f} are allowed"
-        )
+    turns = [("turned", _turned(pose, nominal, full_turn), allowed.yaw)]
+    if allowed.leans:
+        (roll, pitch), (level_roll, level_pitch) = _lean(pose.quaternion), _lean(nominal.quaternion)
+        upright = (0.0, 0.0)
+        turns += [
+            ("rolled", _wrap(roll - level_roll, 2.0 * math.pi), allowed.roll or upright),
+            ("pitched", pitch - level_pitch, allowed.pitch or upright),
+        ]
+    for how, turn, (low, high) in turns:
+        if not low <= turn <= high:
+            return (
+                f"is {how} by {math.degrees(turn):+.1f} degrees against nominal; "
+                f"{math.degrees(low):+.1f} to {math.degrees(high):+.1f} are allowed"
+            )
     return None
+
+
+def _lean(quaternion: Vector) -> tuple[float, float]:
+    """Fixed-axis roll and pitch, rad."""
+    x, y, z, w = quaternion.tolist()
+    return (
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),
+    )
 
 
 def _turned(pose: Pose, nominal: Pose, full_turn: bool) -> float:
@@ -240,7 +267,7 @@ def _measure(
         )
     elif not moving and (wrong := misplaced(pose, nominal, config.rule(name), config.full_turn)):
         problem = f"{name} {wrong}"
-    elif tilt > config.tilt_tolerance:
+    elif tilt > config.tilt_tolerance and not config.rule(name).leans:
         problem = f"{name} leans by {math.degrees(tilt):.1f} degrees; straighten it"
     return SurveyedBody(name, pose, seen, deviation, yaw, tilt, spread, problem)
 

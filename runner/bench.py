@@ -99,7 +99,7 @@ class Bench:
         dry: bool = True,
         options: FlightOptions | None = None,
         real_time: bool = True,
-        figure: bool = True,
+        figure: bool | str = True,
         console: Console | None = None,
         stops: StopOptions | None = None,
         waive: Sequence[str] = (),
@@ -211,6 +211,7 @@ class Bench:
                 mocap=self._mocap,
                 mocap_options=self._mocap_options,
                 supply=fly.supply,
+                lsy=fly.entry.arena,
             )
             arenas.append(arena)
             try:
@@ -223,6 +224,7 @@ class Bench:
                     description={"mocap": f"{self._mocap} {arena.endpoint}", "world": "bench"},
                     environment=with_dongles(arena.air) if self._radio else None,
                     model=fly.model,
+                    params=fly.entry.params,
                 )
             except BaseException:
                 arena.close()

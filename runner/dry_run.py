@@ -7,25 +7,25 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from crazyarena.errors import InputError, StorageError
-from crazyarena.levels import load_level
 from crazyarena.levels.draw import Draw
 from crazyarena.levels.schema import Level, Profile
 from crazyarena.plain_text import shown, shown_line
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.in_process import InProcess
 from crazyarena.runner.contestant.shipped import example_racer
-from crazyarena.runner.contestant.submission import Submission, entry_file
 from crazyarena.runner.judging.result import EpisodeResult, TrialResult
-from crazyarena.runner.records.outcome_table import remarks, score_line, table
+from crazyarena.runner.records.outcome_table import table
+from crazyarena.runner.records.pictures import Figures, Pictures
 from crazyarena.runner.records.recorder import Recorder
-from crazyarena.runner.records.report import NOT_ISOLATED, provenance, result_document
+from crazyarena.runner.records.report import NOT_ISOLATED, result_document
 from crazyarena.runner.records.run_folder import ResultFile, run_folder
 from crazyarena.runner.trial.control_loop import Deadlines
+from crazyarena.runner.trial.entry import enter
+from crazyarena.runner.trial.make_world import make_world
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.trial.staging import Staging
 from crazyarena.runner.trial.trial import Trial
@@ -46,27 +46,6 @@ if TYPE_CHECKING:
     from crazyarena.sim_backend.vehicles import Vehicle, VehicleChoice, VehicleSupply
 
     Track = Draw | MeasuredTrack
-
-
-def make_world(
-    level: Level,
-    seed: int,
-    limits: Limits | None = None,
-    supply: VehicleSupply | None = None,
-    cameras: CameraModel | None = None,
-    deck: str | None = None,
-) -> World:
-    """Return the simulated world of a level's profile; ``seed`` is that of its noise, ``limits``
-    those of its watchdog, ``supply`` of the vehicles of an arena, ``cameras`` its own, ``deck`` on
-    its vehicle instead of those."""
-    if level.profile is Profile.COMPETITION:
-        from crazyarena.sim_backend.competition import CompetitionWorld
-
-        return CompetitionWorld(level.control_frequency)
-    from crazyarena.runner.rig.rig import simulated
-    from crazyarena.runner.trial.tracked_world import TrackedWorld
-
-    return TrackedWorld(simulated(level, seed, cameras, limits=limits, supply=supply, deck=deck))
 
 
 class _Display:
@@ -95,18 +74,20 @@ class DryRun:
     cameras: of an arena, instead of the usual ones. deck: on the vehicle, instead of cameras.
     view: show it in the browser; pace: times real time that it then flies at, 0 for as fast as it
         goes.
+    seeds: one for each episode, which are then as many; ``level`` may then be a loaded one.
+    on_episode: told of every episode's result, recorder and track, whatever is kept of it.
     """
 
     def __init__(
         self,
         submission: Path | None,
-        level: str,
+        level: str | Level,
         overrides: Sequence[str] = (),
         episodes: int | None = None,
         seed: int | None = None,
         out: Path | None = None,
         record: bool = True,
-        figure: bool = True,
+        figure: Figures | bool | str = True,
         console: Console | None = None,
         options: FlightOptions | None = None,
         noise_seed: int | None = None,
@@ -116,29 +97,37 @@ class DryRun:
         deck: str | None = None,
         view: View | ViewOptions | None = None,
         pace: float = 1.0,
+        seeds: Sequence[int] | None = None,
+        on_episode: Callable[[EpisodeResult, Recorder | None, Track], None] | None = None,
     ) -> None:
         self._deck = deck
         self._cameras = cameras
+        self._on_episode = on_episode
         self._wanted_view = view
         self._view: View | None = None
         self._pace = pace
         self._show: Showing | None = None
-        self._level = load_level(level, overrides)
+        path = example_racer() if submission is None else submission
+        self.entry = enter(path, level, overrides)
+        self._level = self.entry.level
         self._vehicle: Vehicle | None = None
         self._choose(vehicle, spread)
         self._options = options or FlightOptions()
         self._options.check()
+        self.entry.check(self._options)
         self._noise_seed = noise_seed
+        self._seeds = None if seeds is None else tuple(seeds)
+        if self._seeds:
+            seed, episodes = self._seeds[0], len(self._seeds)
         self._seed = self._options.seed(seed, self._level)
-        path = example_racer() if submission is None else submission
-        entry_file(path.expanduser())  # a wrong path must not leave a results folder behind
-        self._path = path.expanduser().resolve()
+        self._path = self.entry.path
         self._episodes = self._level.num_episodes if episodes is None else episodes
         self._wanted_out = out
         self._record = record
-        self._figure = figure
+        self._pictures = Pictures(
+            Figures.of(figure), self._episodes, self._level, not self._controlled
+        )
         self._console = console if console is not None else Console()
-        self._drawings: list[tuple[Any, ...]] = []
         self._preflight: FlightChecklist | None = None
 
     @property
@@ -159,6 +148,7 @@ class DryRun:
         from crazyarena.sim_backend.vehicles import VehicleChoice, resolve
 
         self._level, self._vehicle = resolve(level, choice or VehicleChoice())
+        self.entry.settle(self._level)
         self._spread = level.vehicle.spread if spread is None else spread
 
     @property
@@ -186,6 +176,7 @@ class DryRun:
         try:
             return self._run()
         except BaseException:
+            self._pictures.close()
             if self._view is not None and self._view is not self._wanted_view:
                 self._view.close()
             raise
@@ -207,13 +198,16 @@ class DryRun:
         try:
             with contextlib.ExitStack() as stack:
                 stack.callback(world.close)
+                self._pictures.begin()
                 self._open_show(world, stack)
                 contestant = self._contestant()
                 stack.callback(contestant.close)
                 origin = self._origin
-                origin |= provenance(level, self._seed, self._path, contestant.digest)
+                origin |= self.entry.provenance(self._seed, contestant.digest)
                 origin["contestant"] = contestant.description
                 self._flown.isolated = bool(contestant.description["isolated"])
+                if self._seeds:
+                    origin["seeds"] = list(self._seeds)
                 progress = stack.enter_context(self._progress())
                 display = _Display(progress, level.episode_length, self._episodes)
                 result = self._fly(world, contestant, display, origin, stack)
@@ -239,7 +233,8 @@ class DryRun:
         self._remove_if_empty(self.out / "work", self.out)
 
     def _report(self, result: TrialResult) -> None:
-        console, level, origin = self._console, self._level, self._origin
+        console, origin = self._console, self._origin
+        self._look_again(result)
         document = result_document(result, origin)
         try:
             self._results.finish(document)
@@ -247,7 +242,7 @@ class DryRun:
             result.cut_short = result.cut_short or str(error)
         console.print(table(result))
         seed = "that is secret" if self._options.secret else self._seed
-        for line in (score_line(result), *remarks(result, level, seed)):
+        for line in self.entry.told(result, seed):
             console.print(line, highlight=False, markup=False)
         if origin.get("rig", {}).get("vehicles"):
             done = sum(episode.completed for episode in result.episodes)
@@ -293,12 +288,31 @@ class DryRun:
         if not self._controlled:
             self._view.await_browser()
 
+    def _look_again(self, result: TrialResult) -> None:
+        """Where the contestant could write the result, ask its recordings."""
+        recorded = [episode for episode in result.episodes if "recording" in episode.files]
+        claims = any(episode.completed for episode in recorded)
+        if result.isolated or not claims or self._level.profile is not Profile.COMPETITION:
+            return
+        from crazyarena.runner.records.second_look import look_again
+
+        for doubt in look_again(self._level, self.out, recorded):
+            self._print(doubt, "red")
+
     def _print(self, text: str, style: str | None = None) -> None:
         self._console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
     def _make_world(self) -> World:
         seed = self._seed if self._noise_seed is None else self._noise_seed
-        return make_world(self._level, seed, self._limits(), self.supply, self._cameras, self._deck)
+        return make_world(
+            self._level,
+            seed,
+            self._limits(),
+            self.supply,
+            self._cameras,
+            self._deck,
+            self.entry,
+        )
 
     def _limits(self) -> Limits:
         """Of the watchdog, for the vehicle as its model has it, whatever is drawn."""
@@ -309,17 +323,18 @@ class DryRun:
             from crazyarena.runner.rig.flight_model import flight_model
 
             flown = flight_model(self._vehicle)
-        return limits_for(self._level.control_frequency, self._options.max_misses, flown)
+        limits = limits_for(self._level.control_frequency, self._options.max_misses, flown)
+        return self.entry.limits(limits)
 
     def _contestant(self) -> Contestant:
         options = self._options
-        if options.sandboxed(self._level):
-            from crazyarena.runner.contestant.sandbox.process import Sandboxed
+        sandboxed = options.sandboxed(self._level)
+        contestant = self.entry.contestant(options, self.out / "work", sandboxed)
+        if sandboxed:
+            from crazyarena.runner.contestant.sandbox.announcement import announcement
 
-            contestant = Sandboxed(self._path, options.limits, require=options.require_sandbox)
-            self._print(contestant.announcement)
-            return contestant
-        return InProcess(Submission(self._path, self.out / "work"))
+            self._print(announcement(contestant.description))
+        return contestant
 
     def _fly(
         self,
@@ -332,8 +347,9 @@ class DryRun:
         common: dict[str, Any] = {
             "episodes": self._episodes,
             "seed": self._seed,
+            "seeds": self._seeds,
             "out": self.out if self._record else None,
-            "keep_states": self._figure,
+            "keep_states": self._pictures.wanted or self._on_episode is not None,
             "on_step": display,
             "on_episode": self._keep,
             "show": self._show,
@@ -346,7 +362,13 @@ class DryRun:
         }
         staging = self._staging(world, contestant, deadlines, origin, stack)
         trial = Trial(
-            self._level, contestant, world, staging=staging, deadlines=deadlines, **common
+            self._level,
+            contestant,
+            world,
+            contract=self.entry.contract,
+            staging=staging,
+            deadlines=deadlines,
+            **common,
         )
         result = trial.run()
         result.isolated = self._flown.isolated
@@ -396,7 +418,9 @@ class DryRun:
         from crazyarena.runner.trial.checklist import FlightChecklist
         from crazyarena.runner.trial.phases import Crew
 
-        self._preflight = FlightChecklist(world.rig, self._level)
+        site = self.entry.site()
+        landmarks = None if site is None else site.landmarks
+        self._preflight = FlightChecklist(world.rig, self._level, landmarks=landmarks)
         return Crew(
             world.rig,
             world,
@@ -404,6 +428,7 @@ class DryRun:
             on_phase=self._tell,
             checks=(self._checked,),
             anywhere=True,
+            site=site,
         )
 
     def _tell(self, phase: Phase, text: str) -> None:
@@ -446,28 +471,24 @@ class DryRun:
 
     def _keep(self, result: EpisodeResult, recorder: Recorder | None, track: Track) -> None:
         """After every episode: whatever ends the run later, this one was flown."""
-        if self._figure and recorder is not None:
-            states = np.array(recorder.states)
-            self._drawings.append((result, states, track.gates, track.obstacles))
+        if self._on_episode is not None:
+            self._on_episode(result, recorder, track)
+        if self._pictures.wanted and recorder is not None:
+            gates = self.entry.drawn(track.gates)
+            isolated = self._flown.isolated
+            self._pictures.add(self.out, result, recorder, gates, track.obstacles, isolated)
         self._flown.episodes.append(result)
         document = result_document(self._flown, self._origin, finished=False)
         self._results.add(result.as_dict(), document)
 
     def _draw_figures(self, result: TrialResult) -> bool:
-        """Matplotlib is slow to import, so it comes last; whether there is any figure."""
-        if not self._drawings:
-            return False
-        from crazyarena.runner.records.figure import save_figure
-
-        for episode, states, gates, obstacles in self._drawings:
-            file = self.out / f"episode_{episode.index:03d}.png"
-            try:
-                save_figure(
-                    file, self._level, episode, states, gates, obstacles, isolated=result.isolated
-                )
-            except StorageError as error:
-                result.cut_short = result.cut_short or str(error)
-                return False
-            episode.files["figure"] = file.name
+        """Wait for the pictures; whether there is any."""
+        drawn = self._pictures.finish(self.out, result.isolated)
+        for reason in self._pictures.refused[:1]:
+            result.cut_short = result.cut_short or reason
+        told = drawn if len(drawn) <= 3 else [drawn[0], drawn[-1]]
+        for file in told:
             self._print(f"Figure: {shown_line(str(file))}")
-        return True
+        if len(told) < len(drawn):
+            self._print(f"... and {len(drawn) - len(told)} more figures there")
+        return bool(drawn)

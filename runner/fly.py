@@ -95,6 +95,7 @@ class Fly(DryRun):
         return TrackedWorld(self._open_rig(self._level, self._limits()))
 
     def _crew(self, world: TrackedWorld) -> Crew:
+        site = self.entry.site()
         self._preflight = FlightChecklist(
             world.rig,
             self._level,
@@ -104,6 +105,7 @@ class Fly(DryRun):
             say=lambda text: self._tell(Phase.PREFLIGHT, text),
             vehicle=self.model,
             surveyed=self._surveyed,
+            landmarks=None if site is None else site.landmarks,
         )
         crew = Crew(
             world.rig,
@@ -114,6 +116,7 @@ class Fly(DryRun):
             surveyed=self._surveyed,
             checks=(self._checked,),
             anywhere=True,  # that is a line of the checklist
+            site=site,
         )
         self._asking = crew
         self._listen_for_stops(world, crew)

@@ -180,14 +180,19 @@ class CommandGate:
         if memory.ending:
             memory.flying_since = None
 
-    def reference(self, vehicle: int, now: float) -> Point | None:
-        """Where a streamed full-state setpoint wants the vehicle to be now, m."""
+    def reference(self, vehicle: int, now: float) -> tuple[Point | None, Point]:
+        """Where a streamed full state wants the vehicle to be now, m, and how fast, m/s."""
         memory = self._vehicles[vehicle]
         if memory.setpoint is None or not (memory.streaming and memory.is_reference):
-            return None
+            return None, (0.0, 0.0, 0.0)
         age = min(max(now - memory.setpoint_time, 0.0), 0.1)
         (x, y, z), (vx, vy, vz) = memory.setpoint, memory.velocity
-        return x + vx * age, y + vy * age, z + vz * age
+        return (x + vx * age, y + vy * age, z + vz * age), memory.velocity
+
+    def pushed(self, vehicle: int) -> Point | None:
+        """Acceleration, m/s2, that the attitude asks for which is streamed now; None if none is."""
+        memory = self._vehicles[vehicle]
+        return memory.pushed if memory.streaming else None
 
     def stream_age(self, vehicle: int, now: float) -> float | None:
         """s since the last streamed setpoint while the vehicle depends on the next one."""

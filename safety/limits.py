@@ -63,8 +63,15 @@ class Limits:
     setpoint_step: m, by which one streamed position may differ from the last beyond what speed
         allows; setpoint_lead: m, by which it may be away from the vehicle. Further away, and the
         firmware's position loop tips the vehicle over.
-    setpoint_tilt: rad, of attitude setpoints.
+    setpoint_tilt, setpoint_thrust, setpoint_yaw_rate: of attitude setpoints: rad from upright,
+        share of full thrust, rad/s.
     allow_attitude: attitude setpoints are let through at all; no fence can clamp them.
+    thrust_to_weight: what full thrust is to an attitude setpoint.
+    attitude_reaction: s for which a vehicle flown by attitude goes on as it was told, before a
+        command to brake has turned it round.
+    attitude_loss_margin: m beyond the hard fence up to which a vehicle flown by attitude may come
+        down if the link is lost. It brakes for nobody then, so that what state setpoints keep to
+        (``link_loss_margin``) would leave no room to fly in. inf lets everything pass.
     tune_in_flight: gains, masses and limits of the controllers may be written in flight, within
         a range around their boot values; else they are closed.
     command_rate, command_burst: commands per second, and how many at once.
@@ -133,6 +140,8 @@ class Limits:
     setpoint_step: float = 0.25
     setpoint_lead: float = 0.6
     setpoint_tilt: float = 0.6
+    setpoint_thrust: float = 1.0
+    setpoint_yaw_rate: float = 6.0
     allow_attitude: bool = False
     tune_in_flight: bool = False
     command_rate: float = 200.0
@@ -140,13 +149,16 @@ class Limits:
     link_loss_margin: float = 0.05
     link_delay: float = 0.05
     vehicle: FlightModel = field(default_factory=FlightModel)
+    thrust_to_weight: float = 2.0
+    attitude_reaction: float = 0.2
+    attitude_loss_margin: float = 2.0
 
     def __post_init__(self) -> None:
         for name in LIMIT_NAMES:
             value = getattr(self, name)
             if isinstance(value, bool):
                 continue
-            endless = name == "link_loss_margin" and value == math.inf
+            endless = name.endswith("loss_margin") and value == math.inf
             none = name == "nudge" and value == 0.0
             if not (endless or none or (math.isfinite(value) and value > 0.0)):
                 raise InputError(f"safety limit {name}: found {value!r}; need a number > 0")

@@ -15,8 +15,8 @@ from crazyarena.safety.events import Action
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.observation import Observation
-from crazyarena.safety.stopping import stopping_path
+from crazyarena.safety.observation import LAG, Observation
+from crazyarena.safety.stopping import pushed_path, stopping_path
 
 # Bits of the firmware's ``supervisor.info``.
 CAN_FLY, TUMBLED, LOCKED, CRASHED = 1 << 3, 1 << 5, 1 << 6, 1 << 7
@@ -93,14 +93,17 @@ def _least_on_path(
     obs: Observation, limits: Limits, fence: Fence, distance: Callable[..., float]
 ) -> float:
     # The ground stops a vehicle by itself, so the path is not followed below it.
-    (x, y, z), (sx, sy, sz) = stopping_path(obs, limits)
+    paths = [stopping_path(obs, limits)]
+    if obs.pushed is not None:
+        paths.append(pushed_path(obs, obs.pushed, limits))
     floor = fence.floor
     least = math.inf
-    for share in (0.0, 0.25, 0.5, 0.75, 1.0):
-        height = max(z + share * (sz - z), floor)
-        room = distance(x + share * (sx - x), y + share * (sy - y), height)
-        if not room >= least:
-            least = room
+    for (x, y, z), (sx, sy, sz) in paths:
+        for share in (0.0, 0.25, 0.5, 0.75, 1.0):
+            height = max(z + share * (sz - z), floor)
+            room = distance(x + share * (sx - x), y + share * (sy - y), height)
+            if not room >= least:
+                least = room
     return least
 
 
@@ -164,6 +167,19 @@ def _following(obs: Observation, fence: Fence, limits: Limits) -> float | None:
     if obs.setpoint is None or position is None:
         return None
     return math.dist(obs.setpoint, position)
+
+
+def _not_followed(obs: Observation, fence: Fence, limits: Limits) -> float | None:
+    """m from the setpoint, but for what the vehicle is behind because it was told no speed."""
+    position = obs.flown_from(limits.disagreement)
+    if obs.setpoint is None or position is None:
+        return None
+    way = [LAG * (v - told) for v, told in zip(obs.velocity, obs.setpoint_velocity, strict=True)]
+    ahead = [s - p for s, p in zip(obs.setpoint, position, strict=True)]
+    length = sum(w * w for w in way)
+    along = sum(w * a for w, a in zip(way, ahead, strict=True))
+    share = min(max(along / length, 0.0), 1.0) if length > 1e-9 else 0.0
+    return math.hypot(*(a - share * w for w, a in zip(way, ahead, strict=True)))
 
 
 def _clock(obs: Observation, fence: Fence, limits: Limits) -> float | None:
@@ -307,7 +323,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "following",
         When.CONTESTANT,
-        _following,
+        _not_followed,
         (
             Stage("following", HOLD, "following_time"),
             Stage("following_land", LAND, "following_time"),

@@ -8,6 +8,9 @@ from typing import Any
 
 from crazyarena.safety.heading import GRAVITY, Point, Turned
 
+LAG = 0.5
+"""s: damping over stiffness of the Mellinger controller, sideways. A vehicle that is told places
+but no velocity is behind by its speed times that."""
 NOWHERE: Point = (math.nan, math.nan, math.nan)
 
 
@@ -35,6 +38,8 @@ class Observation:
     onboard: the vehicle's own estimate of its position, if it is recent.
     link_age: s since the vehicle was last heard.
     setpoint: position the vehicle was last told to be at now, m.
+    setpoint_velocity: m/s, that it was told with it.
+    pushed: acceleration, m/s2, that the streamed attitude asks for; None if none is streamed.
     controller_age: s since the contestant last answered or refreshed its streamed setpoint.
     lateness: of the last control step, s.
     clock_error: s by which two clocks that should run alike have drifted apart.
@@ -63,6 +68,8 @@ class Observation:
     battery: float | None = None
     supervisor: int | None = None
     setpoint: Point | None = None
+    setpoint_velocity: Point = (0.0, 0.0, 0.0)
+    pushed: Point | None = None
     controller_age: float | None = None
     lateness: float | None = None
     clock_error: float | None = None

@@ -131,7 +131,8 @@ class Preflight:
     controller: what ``stabilizer.controller`` must be (2 Mellinger, 1 PID).
     out: folder recordings go to.
     machine_checks, vehicle_checks: what is looked at.
-    poses: where bodies are seen now, by name.
+    poses: where bodies are seen now, by name. landmarks: where some should be, if not as the
+        level says.
     """
 
     level: Level
@@ -152,6 +153,7 @@ class Preflight:
         default_factory=lambda: VEHICLE_CHECKS
     )
     poses: Mapping[str, Pose] = field(default_factory=dict)
+    landmarks: Mapping[str, Pose] | None = None
 
     def run(self, waive: Iterable[str] = ()) -> list[Line]:
         """All lines, in order.
@@ -235,7 +237,8 @@ def check_gates(p: Preflight) -> list[Line]:
 def check_axes(p: Preflight) -> list[Line]:
     """Whether the cameras' world is ours, from what stands where it should and upright."""
     track = p.level.track
-    places = {name: pose.position for name, pose in nominal_track(p.level).items()}
+    nominal = nominal_track(p.level) if p.landmarks is None else p.landmarks
+    places = {name: pose.position for name, pose in nominal.items()}
     if len(p.vehicles) == 1:
         places[p.vehicles[0].body] = np.array(p.level.start.position, dtype=float)
     for i in track.tracked:

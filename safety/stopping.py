@@ -27,3 +27,18 @@ def stopping_path(obs: Observation, limits: Limits) -> tuple[Point, Point]:
     vx, vy = vx + ax * t, vy + ay * t
     stop = math.sqrt(vx * vx + vy * vy + vz * vz) / (2.0 * limits.braking)
     return (x, y, z), (x + vx * stop, y + vy * stop, z + vz * stop)
+
+
+def pushed_path(obs: Observation, push: Point, limits: Limits) -> tuple[Point, Point]:
+    """The same of a vehicle that is told an attitude: until the command to stop has turned it
+    round (``limits.attitude_reaction``) it goes on with the acceleration (m/s2) it was told last.
+    """
+    assert obs.position is not None
+    t = limits.attitude_reaction
+    half = 0.5 * t * t
+    x, y, z = (
+        p + v * t + a * half for p, v, a in zip(obs.position, obs.velocity, push, strict=True)
+    )
+    vx, vy, vz = (v + a * t for v, a in zip(obs.velocity, push, strict=True))
+    stop = math.sqrt(vx * vx + vy * vy + vz * vz) / (2.0 * limits.braking)
+    return (x, y, z), (x + vx * stop, y + vy * stop, z + vz * stop)

@@ -390,7 +390,9 @@ class Watchdog:
             obs.battery = telemetry.battery
             obs.supervisor = telemetry.supervisor
         watched.airborne = obs.airborne = self._is_airborne(watched, obs)
-        obs.setpoint = self._gate.reference(vehicle, now)
+        obs.setpoint, obs.setpoint_velocity = self._gate.reference(vehicle, now)
+        if not watched.guard.action.takes_over:
+            obs.pushed = self._gate.pushed(vehicle)
         obs.controller_age = _largest(
             self._gate.stream_age(vehicle, now),
             None if watched.answered is None else now - watched.answered,

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import CommandError
 from crazyarena.sim_backend.arena_kernel import DT
+from crazyarena.sim_backend.arena_params import YAW_MODE
 from crazyarena.sim_backend.arena_rows import VehicleRows
-from crazyarena.sim_backend.crtp.setpoints import compress_quaternion, decode_setpoint
+from crazyarena.sim_backend.crtp.setpoints import compress_quaternion, decode_rpyt, decode_setpoint
 from crazyarena.sim_backend.firmware import high_level, stack_2026
 from crazyarena.sim_backend.firmware import supervisor as sv
 from crazyarena.sim_backend.firmware.planner import PIECE_BYTES, TRAJECTORY_MEMORY_SIZE
@@ -35,6 +36,7 @@ class Fleet(Protocol):
     def rows(self, vehicle: int) -> VehicleRows: ...
     def setpoint(self, vehicle: int, row: NDArray[np.float64]) -> None: ...
     def set_param(self, vehicle: int, name: str, value: float) -> None: ...
+    def get_param(self, vehicle: int, name: str) -> float: ...
     def listen(self, vehicle: int, peers: frozenset[int] | None) -> None: ...
 
 
@@ -135,6 +137,22 @@ def _attitude(fleet: Fleet, vehicle: int, m: c.Attitude) -> int:
     return _packet(fleet, vehicle, payload)
 
 
+def _angles(fleet: Fleet, vehicle: int, m: c.RollPitchYawThrust) -> int:
+    yaw = math.remainder(float(m.yaw), 2.0 * math.pi)
+    payload = struct.pack(
+        "<fffH",
+        float(m.roll) * _DEG,
+        -float(m.pitch) * _DEG,
+        yaw * _DEG,
+        int(min(max(m.thrust, 0), 65535)),
+    )
+    # Clients unlock the thrust before they stream.
+    row = decode_rpyt(payload, yaw_angle=bool(fleet.get_param(vehicle, YAW_MODE)))
+    assert row is not None
+    fleet.setpoint(vehicle, row)
+    return 0
+
+
 def _cut_motors(fleet: Fleet, vehicle: int, m: c.CutMotors) -> int:
     return _packet(fleet, vehicle, b"\x00")
 
@@ -231,6 +249,7 @@ _HANDLERS: dict[type, Callable[..., int]] = {
     c.Hover: _hover,
     c.Attitude: _attitude,
     c.CutMotors: _cut_motors,
+    c.RollPitchYawThrust: _angles,
     c.Emergency: _emergency,
     c.Arm: _arm,
     c.UploadTrajectory: _upload,

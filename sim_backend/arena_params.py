@@ -6,6 +6,7 @@ from crazyarena.errors import BackendError, CommandError
 from crazyarena.sim_backend.firmware import stack_2026
 from crazyarena.sim_backend.firmware.parameters import Param
 
+YAW_MODE = "flightmode.stabModeYaw"
 # Parameters of decks that scripts like to set; they have no effect on the flight.
 _DECK_PARAMS = (
     Param("ring.effect", 6, 6, "uint8"),
@@ -15,7 +16,9 @@ _DECK_PARAMS = (
     Param("ring.solidBlue", 20, 20, "uint8"),
     Param("led.bitmask", 0, 0, "uint8"),
 )
-PARAMS = (*stack_2026.PARAMS, *_DECK_PARAMS)
+# What the angles of the legacy attitude setpoint mean: 1 an angle, 0 a rate.
+_COMMANDER_PARAMS = (Param(YAW_MODE, 0, 0, "uint8"),)
+PARAMS = (*stack_2026.PARAMS, *_DECK_PARAMS, *_COMMANDER_PARAMS)
 PARAM_INDEX = {param.name: i for i, param in enumerate(PARAMS)}
 _INTEGER = {
     "uint8": (0, 2**8 - 1),

@@ -11,8 +11,9 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,7 @@ Array = NDArray[np.float64]
 
 _STREAMED = (
     c.FullState, c.Position, c.VelocityWorld, c.Hover, c.Attitude, c.CutMotors,
+    c.RollPitchYawThrust,
 )  # fmt: skip
 _RETRY = 0.01  # s, until a lost request is sent again
 ESTIMATE_RATE = 100.0  # Hz, of a vehicle's own estimate by log data
@@ -195,6 +197,21 @@ def _pose(row: Array) -> Pose:
     return Pose(np.array(row[:3], dtype=np.float64), quaternion)
 
 
+class AnyTrack(Protocol):
+    """What an arena is told of a track."""
+
+    @property
+    def moves(self) -> bool: ...
+
+    def scene(self, time: float) -> Array:
+        """Rows for the collision geometry; they may be used again by the next call."""
+        ...
+
+    def bodies(self, time: float) -> dict[str, Pose]:
+        """True poses by the names of the bodies."""
+        ...
+
+
 class Track:
     """Gates and obstacles of a draw, some of the gates perhaps on the move.
 
@@ -273,6 +290,8 @@ class SimulatedArena:
     vehicle: id of the vehicle; its body is called ``cf<id>``.
     motions: of the gates, where they move.
     supply: the vehicles that fly, one a :meth:`stage`; the default vehicle if not given.
+    track: builds the track of a draw; gates and obstacles of 2022 by default, with ``motions``.
+    params: firmware parameters by name, written whenever the vehicle was switched on.
     nominal: what a draw's mass (kg) and inertia (kg m2) are offsets from: the numbers of the
         level that is drawn from.
     noise: instead of the vehicle's own.
@@ -292,6 +311,8 @@ class SimulatedArena:
         supply: VehicleSupply | None = None,
         nominal: NominalVehicle | None = None,
         deck: str | None = None,
+        track: Callable[[Draw], AnyTrack] | None = None,
+        params: Mapping[str, float] | None = None,
     ) -> None:
         for_link, for_cameras, for_sensors, self._for_moments = rng.spawn(4)
         self.clock = VirtualClock()
@@ -318,8 +339,9 @@ class SimulatedArena:
             self._certainty = Certainty(relative)
             cameras = estimates_by_log(link)
         self.source = SimSource(self.clock, None, cameras, for_cameras)
-        self._motions = motions
-        self._track: Track | None = None
+        self._build = track or (lambda draw: Track(draw, motions))
+        self._params = dict(params or {})
+        self._track: AnyTrack | None = None
         self._staged = 0.0
         self._start = -self.fleet.time
         self.clock.stop_at(lambda: self.source.next_event)
@@ -332,7 +354,7 @@ class SimulatedArena:
         # Vehicle, cameras and trial keep time each for itself: nobody makes them start in step,
         # and a frame that just misses a control tick is a whole period old at the next.
         self.clock.sleep_until(self.clock.now() + self._for_moments.uniform(0.0, _SWITCHED_ON))
-        self._track = Track(draw, self._motions)
+        self._track = self._build(draw)
         self._staged = self.fleet.time
         self.fleet.set_scene(self._track.scene(0.0))
         model = vehicle_rows(self._supply.next())
@@ -340,6 +362,8 @@ class SimulatedArena:
         self.fleet.fit(0, model)
         self.fleet.place(0, (x, y, 0.0), float(yaw))
         self.fleet.reboot(0)
+        for name, value in self._params.items():
+            self.fleet.set_param(0, name, value)
         self.link.reset()
 
     def _advance(self, now: float) -> None:
@@ -354,7 +378,7 @@ class SimulatedArena:
         while self.source.next_exposure <= now:
             self.source.expose(self.source.next_exposure, self._seen(track))
 
-    def _seen(self, track: Track | None) -> dict[str, Pose]:
+    def _seen(self, track: AnyTrack | None) -> dict[str, Pose]:
         fleet = self.fleet
         if self._certainty is not None:
             told = fleet.telemetry(0)

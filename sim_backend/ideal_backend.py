@@ -351,9 +351,9 @@ class IdealBackend:
         row[MO_POS + 2] = m.height
         row[MO_OMEGA + 2] = m.yaw_rate
 
-    def _attitude(self, index: int, m: c.Attitude) -> None:
+    def _attitude(self, index: int, m: c.Attitude | c.RollPitchYawThrust) -> None:
         raise CommandError(
-            f"{self._configs[index].name}: cmdVel: perfect tracking has no attitude to command; "
+            f"{self._configs[index].name}: {verb(m)}: perfect tracking has no attitude to command; "
             "use --backend sim"
         )
 
@@ -435,6 +435,7 @@ _HANDLERS: dict[type, Callable[[IdealBackend, int, Any], None]] = {
     c.VelocityWorld: IdealBackend._velocity,
     c.Hover: IdealBackend._hover,
     c.Attitude: IdealBackend._attitude,
+    c.RollPitchYawThrust: IdealBackend._attitude,
     c.CutMotors: IdealBackend._stop,
     c.Emergency: IdealBackend._emergency,
     c.Arm: IdealBackend._arm,

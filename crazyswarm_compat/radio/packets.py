@@ -47,6 +47,9 @@ class Packet(NamedTuple):
     data: bytes
 
 
+_UNLOCK = Packet(PORT_RPYT, 0, struct.pack("<fffH", 0.0, 0.0, 0.0, 0))
+
+
 def _milli(where: str, field: str, values: Iterable[float]) -> list[int]:
     """Thousandths as int16, truncated like cflib truncates them."""
     found = [float(value) for value in values]
@@ -72,8 +75,8 @@ def _three(value: Any) -> tuple[float, float, float]:
 def setpoint(command: c.Command, protocol: int, who: str) -> tuple[Packet, ...] | None:
     """Packets of a streamed setpoint; None if ``command`` is none.
 
-    More than one only for an attitude on firmware before protocol 12, whose thrust is locked
-    until a packet of zero thrust has arrived: send the first only when the stream begins.
+    More than one only for attitudes in the legacy packet, whose thrust is locked until a packet of
+    zero thrust has arrived: send the first only when the stream begins.
 
     Raises
     ------
@@ -134,8 +137,16 @@ def _attitude(m: c.Attitude, protocol: int, who: str) -> tuple[Packet, ...]:
     rate, thrust = math.degrees(float(m.yaw_rate)), int(m.thrust)
     if protocol >= _MANUAL:
         return _generic(_pack(where, "BfffHB", _MANUAL_TYPE, roll, pitch, rate, thrust, 0))
-    unlock = Packet(PORT_RPYT, 0, struct.pack("<fffH", 0.0, 0.0, 0.0, 0))
-    return unlock, Packet(PORT_RPYT, 0, _pack(where, "fffH", roll, pitch, -rate, thrust))
+    return _UNLOCK, Packet(PORT_RPYT, 0, _pack(where, "fffH", roll, pitch, -rate, thrust))
+
+
+def _angles(m: c.RollPitchYawThrust, protocol: int, who: str) -> tuple[Packet, ...]:
+    where = f"{who}: rollPitchYawThrust"
+    # On the wire positive pitch is nose up; an angle of yaw is not negated as a rate is.
+    roll, pitch = math.degrees(float(m.roll)), -math.degrees(float(m.pitch))
+    yaw = math.degrees(math.remainder(float(m.yaw), 2.0 * math.pi))
+    data = _pack(where, "fffH", roll, pitch, yaw, int(m.thrust))
+    return _UNLOCK, Packet(PORT_RPYT, 0, data)
 
 
 def _cut(m: c.CutMotors, protocol: int, who: str) -> tuple[Packet, ...]:
@@ -149,6 +160,7 @@ _SETPOINTS: dict[type, Any] = {
     c.Hover: _hover,
     c.Attitude: _attitude,
     c.CutMotors: _cut,
+    c.RollPitchYawThrust: _angles,
 }
 
 

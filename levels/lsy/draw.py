@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from crazyarena.errors import InputError
 from crazyarena.levels.lsy.layout import random_layout
 from crazyarena.levels.lsy.random_source import Array, Source, draw, make_source, scaled
-from crazyarena.levels.lsy.schema import DRAWN_DRONE, DRAWN_TRACK, LsyLevel, Spec
+from crazyarena.levels.lsy.schema import DRAWN_DRONE, DRAWN_TRACK, LsyLevel, LsyRng, Spec
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +61,14 @@ class LsyDraw:
 def fresh_seed() -> int:
     """A seed for levels that want a new one each time."""
     return secrets.randbelow(2**31)
+
+
+def refuse_short_keys(level: LsyLevel) -> None:
+    """Raise InputError if a secret seed of the level would have less than 128 bits."""
+    if level.rng is LsyRng.THREEFRY:
+        raise InputError(
+            "--secret: rng threefry has keys of 64 bits; add --set rng=pcg64, which takes 128"
+        )
 
 
 class LsyRandom:

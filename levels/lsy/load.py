@@ -17,7 +17,7 @@ from crazyarena.levels.lsy.toml_document import read_toml
 
 _FOLDER = Path(__file__).parent
 _PREFIX = "lsy/"
-_OURS = ("rng", "name")
+_OURS = ("rng", "name", "profile")
 # Keys that are known, and without influence on a flight here.
 _KNOWN = {
     "": {"deploy", "controller", "sim", "env"},
@@ -45,8 +45,8 @@ def load_lsy_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> L
     Parameters
     ----------
     name_or_path: ``lsy/level0`` ... ``lsy/level3``, or the path of a TOML file.
-    overrides: ``env.seed=7``; besides the file's own fields there is ``rng`` (``pcg64``,
-        ``threefry``).
+    overrides: ``env.seed=7``; besides the file's own fields there are ``rng`` (``pcg64``,
+        ``threefry``) and ``profile`` (``successor``, ``arena``).
 
     Raises
     ------

@@ -44,6 +44,15 @@ class LsyRng(StrEnum):
     """jax's own, key by key: a seed stands for the same numbers as there."""
 
 
+class LsyProfile(StrEnum):
+    """Which world a level is flown in."""
+
+    SUCCESSOR = "successor"
+    """lsy_drone_racing's own simulation, for comparison with published results."""
+    ARENA = "arena"
+    """Today's firmware with latency, packet loss and battery sag, as in a real arena."""
+
+
 class Open(BaseModel):
     """A table whose further keys are left alone."""
 
@@ -269,6 +278,7 @@ class LsyLevel(Open):
 
     name: str = "level"
     rng: LsyRng = LsyRng.PCG64
+    profile: LsyProfile = LsyProfile.SUCCESSOR
     controller: LsyController = Field(default_factory=LsyController)
     sim: LsySim = Field(default_factory=LsySim)
     env: LsyEnv

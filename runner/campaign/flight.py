@@ -19,9 +19,10 @@ from crazyarena.mocap.estimator import PoseEstimator
 from crazyarena.mocap.forwarder import PoseForwarder
 from crazyarena.mocap.pipeline import PosePipeline
 from crazyarena.mocap.sim_source import SimSource
+from crazyarena.runner.campaign.attitude_pilot import AttitudePilot
 from crazyarena.runner.campaign.cameras import FaultyCameras
 from crazyarena.runner.campaign.excursion import Excursion
-from crazyarena.runner.campaign.faults import FAULTS
+from crazyarena.runner.campaign.faults import ALL_FAULTS
 from crazyarena.runner.campaign.link import FleetLink
 from crazyarena.runner.campaign.outcome import Outcome
 from crazyarena.runner.campaign.plan import draw_plan
@@ -42,9 +43,11 @@ from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import CRASHED, LOCKED
 from crazyarena.safety.watchdog import Watchdog
 from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
+from crazyarena.sim_backend.arena_params import YAW_MODE
 from crazyarena.sim_backend.physics.competition_step import B_VEL, P_MASS
 from crazyarena.types import Pose
 
+_THRUST_TO_WEIGHT = 1.5  # of the default vehicle
 _QUANTUM = 0.002  # s, of virtual time between looks at everything
 
 
@@ -53,22 +56,25 @@ class Flight:
 
     Parameters
     ----------
-    fault: name in :data:`.faults.FAULTS`.
+    fault: name in :data:`.faults.ALL_FAULTS`.
     seed: of everything random in it.
     level: its arena is flown in.
     """
 
     def __init__(self, fault: str, seed: int, level: Level, limits: Limits | None = None) -> None:
-        if fault not in FAULTS:
-            raise InputError(f"fault {fault!r}: choose from {', '.join(FAULTS)}")
+        if fault not in ALL_FAULTS:
+            raise InputError(f"fault {fault!r}: choose from {', '.join(ALL_FAULTS)}")
         self.fault = fault
         self.seed = seed
         self.body, self.other = BODY, OTHER
         plan = draw_plan(fault, seed)
+        kind = ALL_FAULTS[fault]
         self.rng = plan.rng
-        self.mellinger = plan.mellinger
+        # Attitudes mean something else to the other controller's loops.
+        self.mellinger = plan.mellinger or kind.attitude
         self.circuit = plan.circuit
-        self.onset = plan.struck
+        self.onset = plan.rng.uniform(BOOT + 0.05, plan.struck) if kind.early else plan.struck
+        self._by_attitude: AttitudePilot | None = None
         self.fence = Fence.from_arena(level.arena)
         self.clock = VirtualClock()
         self.fleet = ArenaFleet(
@@ -78,6 +84,9 @@ class Flight:
             rng=np.random.default_rng([seed, 1]),
         )
         self.fleet.set_param(0, "stabilizer.controller", 2 if self.mellinger else 1)
+        if kind.attitude:
+            self.fleet.set_param(0, YAW_MODE, 1)
+            self._by_attitude = AttitudePilot(_THRUST_TO_WEIGHT)
         self.link = FleetLink(self.fleet, self.clock, random.Random(seed))
         source = SimSource(
             self.clock, self._truth, CameraModel(rate=100.0), np.random.default_rng([seed, 2])
@@ -87,7 +96,7 @@ class Flight:
             self.link,
             self.fence,
             self.clock,
-            plan.limits(limits or FAULTS[fault].limits),
+            plan.limits(limits or ALL_FAULTS[fault].limits),
             state=self._believed,
         )
         forwarder = PoseForwarder({BODY: VEHICLE}, self.gate.send_external_poses, self.clock)
@@ -145,7 +154,7 @@ class Flight:
             if not struck and now >= self.onset:
                 struck = True
                 speed = float(np.linalg.norm(self.fleet.true_state(0).velocity))
-                FAULTS[self.fault].strike(self)
+                ALL_FAULTS[self.fault].strike(self)
             if struck and self.each is not None:
                 self.each(now - self.onset)
             self.link.deliver()
@@ -192,7 +201,7 @@ class Flight:
         if landing:
             return True
         if self.contestant is None:
-            self._try(self.setpoint)
+            self._try(self._usual(now))
             self.watchdog.controller_answered(VEHICLE)
         else:
             command = self.contestant(now)
@@ -201,6 +210,13 @@ class Flight:
             if command is not None or self.silence_is_an_answer:
                 self.watchdog.controller_answered(VEHICLE)
         return False
+
+    def _usual(self, now: float) -> c.Command:
+        """What the contestant asks for until the fault sets in."""
+        pilot, state = self._by_attitude, self._believed(VEHICLE)
+        if pilot is None or state is None:
+            return self.setpoint
+        return pilot.command(now, state, self.setpoint)
 
     def _try(self, command: c.Command) -> None:
         with contextlib.suppress(CommandError):  # counted by the gate

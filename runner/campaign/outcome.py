@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from crazyarena.runner.campaign.faults import FAULTS
+from crazyarena.runner.campaign.faults import ALL_FAULTS
 from crazyarena.safety.events import SafetyEvent
 
 
@@ -48,7 +48,7 @@ def summarise(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
         rows.append(
             {
                 "fault": name,
-                "kind": FAULTS[name].kind,
+                "kind": ALL_FAULTS[name].kind,
                 "flights": len(mine),
                 "safe": sum(outcome.safe for outcome in mine),
                 "landed": sum(outcome.end == "landed" for outcome in mine),
@@ -68,6 +68,10 @@ def failures(outcomes: Iterable[Outcome], margin: float, allowed: float = 0.1) -
     return [
         outcome
         for outcome in outcomes
-        if not outcome.safe
-        or outcome.excursion > (margin if FAULTS[outcome.fault].physical else allowed)
+        if not outcome.safe or outcome.excursion > _allowed(outcome.fault, margin, allowed)
     ]
+
+
+def _allowed(fault: str, margin: float, allowed: float) -> float:
+    kind = ALL_FAULTS[fault]
+    return (margin if kind.physical else allowed) + kind.beyond

@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.table import Table
 
 from crazyarena import whole_file
-from crazyarena.runner.campaign.faults import FAULTS
+from crazyarena.runner.campaign.faults import ALL_FAULTS
 from crazyarena.runner.campaign.outcome import Outcome, summarise
 
 SIMULATED = "Fault campaign in simulation"
@@ -69,7 +69,7 @@ def save_figure(path: Path, outcomes: Sequence[Outcome], title: str = SIMULATED)
     left, right = figure.subplots(1, 2, sharey=True)
     for row, name in enumerate(names):
         mine = [outcome for outcome in outcomes if outcome.fault == name]
-        colour = colours[FAULTS[name].kind]
+        colour = colours[ALL_FAULTS[name].kind]
         left.plot([o.excursion for o in mine], [row] * len(mine), ".", color=colour, alpha=0.5)
         times = [o.safe_after for o in mine if math.isfinite(o.safe_after)]
         right.plot(times, [row] * len(times), ".", color=colour, alpha=0.5)

@@ -7,7 +7,7 @@ from concurrent.futures import ProcessPoolExecutor
 
 from crazyarena.errors import InputError
 from crazyarena.levels import load_level
-from crazyarena.runner.campaign.faults import FAULTS
+from crazyarena.runner.campaign.faults import ALL_FAULTS
 from crazyarena.runner.campaign.flight import Flight
 from crazyarena.runner.campaign.outcome import Outcome
 
@@ -36,8 +36,8 @@ def run_campaign(
     """
     names = list(faults)
     for name in names:
-        if name not in FAULTS:
-            raise InputError(f"fault {name!r}: choose from {', '.join(FAULTS)}")
+        if name not in ALL_FAULTS:
+            raise InputError(f"fault {name!r}: choose from {', '.join(ALL_FAULTS)}")
     jobs = [(name, seed, level) for name in names for seed in range(seeds)]
     outcomes = []
     if workers <= 1:

@@ -18,8 +18,8 @@ from crazyarena.runner.cli.common import (
     Out,
     Overrides,
     bad_input_exits,
-    not_of_lsy,
 )
+from crazyarena.runner.cli.options.figure import figure_choice
 from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import OPTION_HELP
@@ -56,10 +56,16 @@ def register(app: typer.Typer) -> None:
     app.command("bench")(bench)
 
 
-@takes(vehicle=vehicle_choice, options=flight_options, stops=flight_stops, view=view_options)
+@takes(
+    figure=figure_choice,
+    vehicle=vehicle_choice,
+    options=flight_options,
+    stops=flight_stops,
+    view=view_options,
+)
 def bench(
     submission: AnySubmission = None,
-    level: ArenaLevel = "sim2real",
+    level: ArenaLevel = None,
     runs: Annotated[int, typer.Option(min=1, max=100, help="How many, on the same draw.")] = 1,
     seed: Annotated[
         int | None,
@@ -84,13 +90,13 @@ def bench(
         list[str] | None, typer.Option(metavar="KEY=VALUE", help=OPTION_HELP)
     ] = None,
     *,
+    figure: str,
     vehicle: VehicleChoice,
     vehicle_spread: VehicleSpread = None,
     options: FlightOptions,
     real_time: Annotated[
         bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
     ] = True,
-    figure: Annotated[bool, typer.Option(help="Write figures.")] = True,
     waive: Waive = None,
     stops: Callable[[str], StopOptions],
     view: Callable[[], ViewOptions | None],
@@ -105,14 +111,15 @@ def bench(
 
         from rich.console import Console
 
-        from crazyarena.levels import load_level
         from crazyarena.runner.bench import Bench
+        from crazyarena.runner.dry_run import example_racer
         from crazyarena.runner.records import compare as comparing
         from crazyarena.runner.rig.cameras import numeric, parse_options
+        from crazyarena.runner.trial.entry import default_level, enter
 
         console = Console()
-        not_of_lsy(submission)
-        loaded = load_level(level, set_ or [])
+        level = level or default_level(submission, "sim2real", "lsy/level2")
+        loaded = enter(submission or example_racer(), level, set_ or []).level
         stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
         folder = out if out is not None else Path("runs") / f"{stamp}-bench-{loaded.name}"
         folder.mkdir(parents=True, exist_ok=True)
@@ -141,10 +148,12 @@ def bench(
         result = run.run()
         if result.comparison is not None:
             console.print(comparing.table(result.comparison))
-            summary = {**result.comparison.summary(), "arenas": result.arenas}
+            summary = {**result.comparison.document(), "arenas": result.arenas}
             write_whole(folder / "compare.json", json.dumps(summary, indent=2) + "\n")
-            if figure:
-                comparing.save_figure(folder / "compare.png", result.comparison)
+            if figure != "none":
+                from crazyarena.runner.records.compare_figure import save_figure
+
+                save_figure(folder / "compare.png", result.comparison)
                 console.print(f"Figure: {folder / 'compare.png'}", highlight=False, soft_wrap=True)
         for reason in (result.uncompared, result.aborted):
             if reason is not None:

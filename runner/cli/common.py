@@ -47,20 +47,14 @@ AnySubmission = Annotated[
 ]
 
 
-def not_of_lsy(submission: Path | None) -> None:
-    """Refuse a controller of lsy_drone_racing by name, where only the contract of 2022 flies."""
-    from crazyarena.errors import InputError
-    from crazyarena.runner.contestant.contract_lsy.submission import find_controller
-
-    file = None if submission is None else find_controller(submission.expanduser())
-    if file is not None:
-        raise InputError(
-            f"{file}: a controller of lsy_drone_racing, which flies in simulation alone: "
-            f"crazyarena dry-run {file}"
-        )
-
-
-ArenaLevel = Annotated[str, typer.Option(help="Arena level, or a level file.")]
+ArenaLevel = Annotated[
+    str | None,
+    typer.Option(
+        help="Arena level, or a level file. Default: sim2real, lsy/level2 for a controller of "
+        "lsy_drone_racing.",
+        show_default=False,
+    ),
+]
 Seed = Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")]
 Secret = Annotated[
     bool,

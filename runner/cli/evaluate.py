@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
+from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, Secret, bad_input_exits
 
 
 def register(app: typer.Typer) -> None:
@@ -23,6 +23,7 @@ def evaluate(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Default: the level's own; -1 there is a new one.")
     ] = None,
+    secret: Secret = False,
     out: Annotated[Path | None, typer.Option(help="Results folder. Default: none.")] = None,
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode to --out.")] = False,
     set_: Annotated[
@@ -59,6 +60,7 @@ def evaluate(
             set_ or [],
             episodes=runs,
             seed=seed,
+            secret=secret,
             out=out,
             record=record,
             sandbox=sandbox or require_sandbox,
@@ -89,7 +91,7 @@ def evaluate(
         typer.echo(json.dumps(document, indent=2))
     else:
         shown = "nan" if result.mean_time is None else f"{result.mean_time:.3f}"
-        typer.echo(f"seed {result.seed}")
+        typer.echo("seed: secret" if secret else f"seed {result.seed}")
         typer.echo(f"{shown},{result.success_rate:.2f}")
     if not enough:
         raise typer.Exit(EXIT_NOT_CLEAN)

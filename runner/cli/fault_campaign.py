@@ -67,7 +67,7 @@ def fault_campaign(
         from crazyarena.errors import InputError
         from crazyarena.runner.campaign import report
         from crazyarena.runner.campaign import run as virtual
-        from crazyarena.runner.campaign.faults import FAULTS
+        from crazyarena.runner.campaign.faults import ALL_FAULTS
         from crazyarena.runner.campaign.outcome import failures
         from crazyarena.runner.campaign.udp import run as real
 
@@ -75,7 +75,7 @@ def fault_campaign(
         if not console.is_terminal:
             console = Console(width=120)
         in_real_time = udp or radio
-        names = fault or list(real.UDP_FAULTS if in_real_time else FAULTS)
+        names = fault or list(real.UDP_FAULTS if in_real_time else ALL_FAULTS)
         run = (
             functools.partial(real.run_campaign, radio=radio)
             if in_real_time

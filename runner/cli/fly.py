@@ -18,8 +18,8 @@ from crazyarena.runner.cli.common import (
     Secret,
     Seed,
     bad_input_exits,
-    not_of_lsy,
 )
+from crazyarena.runner.cli.options.figure import figure_choice
 from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import HOST_HELP, OPTION_HELP, SOURCE_HELP
@@ -44,10 +44,10 @@ def register(app: typer.Typer) -> None:
     app.command("fly")(fly)
 
 
-@takes(options=flight_options, stops=flight_stops, view=view_options)
+@takes(figure=figure_choice, options=flight_options, stops=flight_stops, view=view_options)
 def fly(
     submission: AnySubmission = None,
-    level: ArenaLevel = "sim2real",
+    level: ArenaLevel = None,
     backend: Annotated[
         BackendChoice, typer.Option(help="radio flies; sim is the dry run of the same line.")
     ] = BackendChoice.RADIO,
@@ -98,8 +98,8 @@ def fly(
     set_: Overrides = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before arming.")] = False,
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode.")] = True,
-    figure: Annotated[bool, typer.Option(help="Write a PNG an episode.")] = True,
     *,
+    figure: str,
     options: FlightOptions,
     real_time: Annotated[
         bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
@@ -120,10 +120,10 @@ def fly(
         from crazyarena.runner.rig.cameras import deck_of, named_source
         from crazyarena.runner.rig.rig import Rig, simulated
         from crazyarena.runner.trial.checklist import check_waivers
+        from crazyarena.runner.trial.entry import default_level
         from crazyarena.safety.limits import Limits
         from crazyarena.sim_backend.vehicles import VehicleChoice
 
-        not_of_lsy(submission)
         if vehicle is not None and vehicle.isdecimal():
             ident, vehicle = int(vehicle), None
             if ident > 255:
@@ -149,8 +149,15 @@ def fly(
 
         def open_rig(loaded: Level, limits: Limits) -> Rig:
             if not real:
+                entry = run.entry
                 return simulated(
-                    loaded, run.seed, limits=limits, supply=run.supply, deck=deck_of(source)
+                    loaded,
+                    run.seed,
+                    limits=limits,
+                    supply=run.supply,
+                    deck=deck_of(source),
+                    track=entry.track,
+                    params=entry.params,
                 )
             from crazyarena.runner.rig.flight_process.client import connected
 
@@ -167,11 +174,12 @@ def fly(
                 description={"mocap": source.kind, "mocap_host": mocap_host, "world": "arena"},
                 model=run.model,
                 plant_log=plant_log,
+                params=run.entry.params,
             )
 
         run = Fly(
             submission,
-            level,
+            level or default_level(submission, "sim2real", "lsy/level2"),
             set_ or [],
             episodes,
             seed,

@@ -15,7 +15,15 @@ from scipy.spatial.transform import Rotation
 
 from crazyarena.levels.lsy.draw import LsyDraw
 from crazyarena.levels.lsy.schema import MAX_STEPS, LsyLevel
-from crazyarena.sim_backend.trace import TR_CONTACT, TR_OMEGA, TR_POS, TR_QUAT, TR_TIME, TR_VEL
+from crazyarena.sim_backend.trace import (
+    TR_CONTACT,
+    TR_OMEGA,
+    TR_POS,
+    TR_QUAT,
+    TR_TIME,
+    TR_TUMBLED,
+    TR_VEL,
+)
 
 Array = NDArray[np.float64]
 
@@ -35,6 +43,7 @@ GATES_PASSED, COLLISION, OUT_OF_BOUNDS, FLOOR = (
     "FLOOR",
 )
 TIME_LIMIT = "TIME LIMIT"
+SAFETY_LIMITS, TUMBLED = "SAFETY LIMITS", "TUMBLED"
 
 
 @dataclass(slots=True)
@@ -59,9 +68,14 @@ class LsyVerdict:
 
 
 class LsyReferee:
-    """Judges one episode after the other of a level."""
+    """Judges one episode after the other of a level.
 
-    def __init__(self, level: LsyLevel) -> None:
+    real: a race on real ground, which ends where the level's safety limits are left, and whose
+    drone stays where it is.
+    """
+
+    def __init__(self, level: LsyLevel, real: bool = False) -> None:
+        self._real = real
         order = np.array(level.env.track.order)
         self._level = level
         self._sequence = np.abs(order) - 1
@@ -129,7 +143,7 @@ class LsyReferee:
             ]
         )
         terminated = reason is not None and reason != TIME_LIMIT
-        if terminated:
+        if terminated and not self._real:
             state[:3] = _GONE
         reward = -1.0 if self.passed == self.gates else 0.0
         return LsyVerdict(self._obs(state), reward, terminated, truncated, reason, events)
@@ -143,11 +157,23 @@ class LsyReferee:
             what = f"gate {code + 1}" if code < gates else f"obstacle {code - gates + 1}"
             self.notes.append(f"touched {what} at {row[TR_TIME]:.3f} s")
             return COLLISION
+        if self._real:
+            return self._ended_for_real(row)
         low, high = BOUNDS
         if place[2] < low[2] and np.abs(place[:2] - self._start[:2]).max() > _ON_PLATFORM:
             return FLOOR
         if (place[:2] < low[:2]).any() or (place > high).any():
             return OUT_OF_BOUNDS
+        return GATES_PASSED if self.passed == self.gates else None
+
+    def _ended_for_real(self, row: Array) -> str | None:
+        place = row[TR_POS : TR_POS + 3]
+        if row[TR_TUMBLED] == 1.0:
+            return TUMBLED
+        low, high = self._limits
+        # The floor below the start is no way out.
+        if (place[:2] < low[:2]).any() or (place > high).any():
+            return SAFETY_LIMITS
         return GATES_PASSED if self.passed == self.gates else None
 
     def _look(self, place: Array) -> None:
@@ -182,7 +208,7 @@ class LsyReferee:
                 f"touched something at {first[TR_TIME]:.3f} s, between two looks of the referee: "
                 "a collision by every tick"
             )
-        if not self._left_limits:
+        if not self._left_limits and not self._real:
             places = rows[:, TR_POS : TR_POS + 3]
             low, high = self._limits
             # The floor below the start is no way out.

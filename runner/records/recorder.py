@@ -28,6 +28,10 @@ from crazyarena.runner.timing.rows import Rows
 from crazyarena.sim_backend.trace import TR_TIME, TRACE_SIZE
 from crazyarena.whole_file import whole_file
 
+SINCE = "0.1.0"
+"""First version that wrote recordings like these: the same flight gives the same bytes in each
+version since. Which one wrote a recording is in the ``result.json`` beside it."""
+
 # Kinds of commands sent, by number: 0 is "nothing sent".
 SENT_KINDS: tuple[type, ...] = get_args(cs.Command)
 _KIND_NUMBER = {kind: i + 1 for i, kind in enumerate(SENT_KINDS)}
@@ -172,6 +176,9 @@ def _write_args(row: NDArray[np.float64], at: int, command: cs.Command | None) -
         case cs.Position():
             row[at : at + 3] = command.position
             row[at + 3] = command.yaw
+        case cs.RollPitchYawThrust():
+            row[at + 6 : at + 9] = command.roll, command.pitch, command.yaw
+            row[at + 10] = command.thrust
         case cs.VelocityWorld():
             row[at : at + 3] = command.velocity
             row[at + 3] = command.yaw_rate
@@ -350,7 +357,13 @@ class Recorder:
                 writer = mcap_file.McapWriter(stream, self._channels)
                 writer.metadata("crazyarena", self._metadata)
                 verbs = {f"asked {number}": name for name, number in VERBS.items()}
-                verbs |= {f"sent {number}": kind.__name__ for kind, number in _KIND_NUMBER.items()}
+                sent = set(self._commands.rows[:, _CM_SENT].tolist())
+                verbs |= {
+                    f"sent {number}": kind.__name__
+                    for kind, number in _KIND_NUMBER.items()
+                    # Recordings without it stay as they always were.
+                    if kind is not cs.RollPitchYawThrust or number in sent
+                }
                 writer.metadata("verbs", verbs)
                 writer.chunk(self._batches([0] * _VEHICLE, counts))
                 writer.finish()
@@ -372,3 +385,10 @@ class Recorder:
     def states(self) -> NDArray[np.float64]:
         """(n, TRACE_SIZE) ticks recorded so far."""
         return self._states.rows
+
+    @property
+    def commanded_from(self) -> float:
+        """When the first command went to the vehicle, s; inf if none did."""
+        commands = self._commands.rows
+        sent = np.flatnonzero(commands[:, _CM_SENT])
+        return float(commands[sent[0], 0]) if len(sent) else float("inf")

@@ -7,7 +7,7 @@ a dry run; that of a bench or arena flight is built from a radio link and a came
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -29,6 +29,7 @@ from crazyarena.safety.own_estimate import OwnEstimate
 from crazyarena.types import Pose
 
 if TYPE_CHECKING:
+    from crazyarena.sim_backend.arena_world import AnyTrack
     from crazyarena.sim_backend.vehicles import VehicleSupply
 
 # Children of the trial's seed, so that the level's own draws stay what the seed says.
@@ -134,11 +135,15 @@ def simulated(
     guarded: bool = True,
     supply: VehicleSupply | None = None,
     deck: str | None = None,
+    track: Callable[[Draw], AnyTrack] | None = None,
+    params: Mapping[str, float] | None = None,
 ) -> Rig:
     """The rig of a dry run: everything in this process, in virtual time.
 
     ``supply`` is of the vehicles that fly; that of the level if not given. With a positioning
     ``deck`` there are no cameras, and what is known of the vehicle is its own estimate.
+    ``track`` builds the track of a draw, and ``params`` are written to the vehicle, as
+    :class:`~crazyarena.sim_backend.arena_world.SimulatedArena` takes them.
     """
     from crazyarena.sim_backend.arena_world import SimulatedArena, motions
     from crazyarena.sim_backend.vehicles import level_supply
@@ -153,6 +158,8 @@ def simulated(
         supply=supply,
         nominal=level.vehicle,
         deck=deck,
+        track=track,
+        params=params,
     )
     onboard = None
     if deck is not None:

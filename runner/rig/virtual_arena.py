@@ -2,9 +2,10 @@
 on zenoh or as one of the emulated systems.
 
 ``python -m crazyarena.runner.rig.virtual_arena CONFIG`` with a JSON object: level_file (path),
-seed, vehicle (id), vehicle_file, port, radio (on the air, not on the port), place of the cameras,
-cameras (fields of CameraModel), battery (times the usual capacity), deck (on the vehicle, instead
-of cameras; none if empty). Prints one line of JSON with
+seed, lsy (name and overrides of a level of lsy_drone_racing, or null), vehicle (id),
+vehicle_file, port, radio (on the air, not on the port), place of the cameras, cameras (fields of
+CameraModel), battery (times the usual capacity), deck (on the vehicle, instead of cameras; none if
+empty). Prints one line of JSON with
 ``uri`` and ``air`` once it runs, and on SIGTERM one with how it kept up, then ends; also 20 s after
 its standard input was closed.
 """
@@ -38,6 +39,8 @@ from crazyarena.runner.timing.realtime import SERVING, lock_memory, lower_priori
 from crazyarena.types import Pose
 
 if TYPE_CHECKING:
+    from crazyarena.levels.draw import Draw
+    from crazyarena.sim_backend.arena_world import AnyTrack
     from crazyarena.sim_backend.vehicles import VehicleSupply
 
 _START_TIMEOUT = 300.0  # s; the first run compiles
@@ -49,7 +52,12 @@ def _serve(config: dict[str, Any]) -> None:
     from crazyarena.mocap.sim_source import SimSource
     from crazyarena.sim_backend.arena import ArenaFleet
     from crazyarena.sim_backend.arena_kernel import DT
-    from crazyarena.sim_backend.arena_world import LinkModel, Track, motions, sensor_noise
+    from crazyarena.sim_backend.arena_world import (
+        LinkModel,
+        Track,
+        motions,
+        sensor_noise,
+    )
     from crazyarena.sim_backend.crazyradio.fleet import put_on_air
     from crazyarena.sim_backend.crazyradio.gateway import Gateway
     from crazyarena.sim_backend.crtp.faults import Faults
@@ -63,7 +71,7 @@ def _serve(config: dict[str, Any]) -> None:
     class Swarm(VirtualSwarm):
         """Vehicles among the gates and obstacles that the cameras see as well."""
 
-        track: Track
+        track: AnyTrack
 
         def advance(self, ticks: int, send: Send) -> None:
             if self.track.moves:
@@ -75,8 +83,12 @@ def _serve(config: dict[str, Any]) -> None:
 
     lower_priority()  # whatever the runner had: first comes a lot of work that may wait
     level = load_level(config["level_file"])
-    draw = LevelRandom(level, config["seed"]).reset()
-    track = Track(draw, motions(level))
+    track: AnyTrack
+    if config["lsy"] is None:
+        draw = LevelRandom(level, config["seed"]).reset()
+        track = Track(draw, motions(level))
+    else:
+        draw, track = _lsy_track(level, config["seed"], **config["lsy"])
     # Not the numbers of the dry run: measurement noise never repeats in an arena either.
     noise = np.random.default_rng([config["seed"], os.getpid()])
     for_cameras, for_sensors, for_deck = noise.spawn(3)
@@ -168,6 +180,18 @@ def _serve(config: dict[str, Any]) -> None:
             publisher.close()
 
 
+def _lsy_track(level: Level, seed: int, name: str, overrides: list[str]) -> tuple[Draw, AnyTrack]:
+    """Draw and track of a level of lsy_drone_racing; ``level`` is its arena."""
+    from crazyarena.levels.lsy import load_lsy_level
+    from crazyarena.levels.lsy.arena import ArenaDraws
+    from crazyarena.sim_backend.lsy_track import LsyTrack
+
+    body = level.vehicle
+    own = load_lsy_level(name, overrides)
+    draw = ArenaDraws(own, body.mass, (body.ixx, body.iyy, body.izz), seed).reset()
+    return draw, LsyTrack(draw)
+
+
 class VirtualArena:
     """Runs the arena of a level in a child process; use as a context manager.
 
@@ -195,6 +219,7 @@ class VirtualArena:
         supply: VehicleSupply | None = None,
         mocap: str = "zenoh",
         mocap_options: dict[str, Any] | None = None,
+        lsy: dict[str, Any] | None = None,
     ) -> None:
         from crazyarena.sim_backend.vehicles import level_supply, vehicle_file
 
@@ -215,6 +240,7 @@ class VirtualArena:
         config = {
             "level_file": str(level_file),
             "seed": seed,
+            "lsy": lsy,
             "vehicle": vehicle,
             "vehicle_file": str(vehicle_file(folder, flown)),
             "port": 0,

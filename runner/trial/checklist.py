@@ -75,6 +75,7 @@ class FlightChecklist:
     waive: names of lines that must not ground the vehicle.
     uri: link of the vehicle if people are there to try what needs a hand; None if not.
     out: folder recordings go to.
+    landmarks: bodies whose nominal places tell the cameras' axes; the level's own by default.
     say: told of each line that is waived.
     vehicle: model of the vehicle, looked at where there are people; elsewhere it is what flies.
     surveyed: poses of the track from an earlier survey.
@@ -96,6 +97,7 @@ class FlightChecklist:
         rehearsals: Rehearsals | None = None,
         vehicle: Vehicle | None = None,
         surveyed: Mapping[str, Pose] | None = None,
+        landmarks: Mapping[str, Pose] | None = None,
     ) -> None:
         self._vehicle = vehicle
         self._rig = rig
@@ -107,6 +109,7 @@ class FlightChecklist:
         self._say = say
         self._rehearsals = rehearsals
         self._surveyed = surveyed
+        self._landmarks = landmarks
         self._runs: list[list[pf.Line]] = []
 
     def __call__(self) -> list[str]:
@@ -208,6 +211,7 @@ class FlightChecklist:
             clock=clock,
             machine_checks=machine,
             vehicle_checks=each,
+            landmarks=self._landmarks,
         )
         if self._uri is not None:
             remember(checklist, self._rehearsals or Rehearsals(), {rig.body: self._uri})

@@ -22,7 +22,7 @@ from crazyarena.runner.contestant.contract_2022.command_check import FINISHED as
 from crazyarena.runner.contestant.contract_2022.command_check import NONE
 from crazyarena.runner.contestant.dialogue import Answer, Contestant, Learn, Question
 from crazyarena.runner.contestant.interrupt import Interrupt
-from crazyarena.runner.judging.referee import Event, Referee, Verdict
+from crazyarena.runner.judging.referee import Event, Verdict
 from crazyarena.runner.judging.result import (
     CONTROLLER_ERROR,
     CONTROLLER_TIMEOUT,
@@ -32,12 +32,12 @@ from crazyarena.runner.judging.result import (
     EpisodeResult,
     percentiles_ms,
 )
-from crazyarena.runner.judging.why import explain
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.rig.watch import Watch
 from crazyarena.runner.timing.scheduler import Scheduler
+from crazyarena.runner.trial.contract import Contract
 from crazyarena.runner.trial.world import World
-from crazyarena.sim_backend.trace import TRACE_SIZE
+from crazyarena.sim_backend.trace import TR_POS, TRACE_SIZE
 
 
 class LatePolicy(StrEnum):
@@ -68,8 +68,8 @@ class ControlLoop:
     ----------
     index: number of the episode, from 0.
     world: its episode time begins when :meth:`fly` is called.
-    referee: already begun.
-    rate: control ticks per second.
+    referee: already begun. rate: control ticks per second.
+    contract: whose contestant flies.
     keep_alive: a setpoint is repeated at every tick at which the contestant asks for nothing
         new: vehicles do not fly on with a stream that fell silent, and the contract has them.
     watch: asked at every tick; its verdict ends the run.
@@ -83,10 +83,11 @@ class ControlLoop:
         index: int,
         contestant: Contestant,
         world: World,
-        referee: Referee,
+        referee: Any,
         rate: float,
         deadlines: Deadlines,
         interrupt: Interrupt,
+        contract: Contract,
         *,
         keep_alive: bool,
         recorder: Recorder | None = None,
@@ -106,6 +107,7 @@ class ControlLoop:
         self._rate = rate
         self._deadlines = deadlines
         self._interrupt = interrupt
+        self._contract = contract
         self._keep_alive = keep_alive
         self._recorder = recorder
         self._watch = watch
@@ -131,7 +133,7 @@ class ControlLoop:
         self._highest = -np.inf
         self._first: str | None = None
 
-    def fly(self, obs: list[Any]) -> tuple[EpisodeResult, list[Any]]:
+    def fly(self, obs: Any) -> tuple[EpisodeResult, Any]:
         """Fly until the referee, the contestant, the watchdog or Ctrl-C ends it.
 
         ``obs`` is what the contestant is told first; returns the result and the last ``obs``.
@@ -246,7 +248,7 @@ class ControlLoop:
         self._completed = verdict.completed
         if len(rows):
             self._rows = rows
-            self._highest = max(self._highest, verdict.obs[4])
+            self._highest = max(self._highest, float(rows[-1, TR_POS + 2]))
         if self._recorder is not None:
             self._recorder.step(rows, verdict.row)
             for event in verdict.events:
@@ -288,7 +290,7 @@ class ControlLoop:
                 return self._refused(error, step, time)
         if asked.command is not None:
             # High-level commands are carried out by the vehicle itself, once.
-            streamed = isinstance(asked.command, cs.FullState)
+            streamed = isinstance(asked.command, cs.STREAMED)
             self._last = asked.command if streamed else None
             self._sent_at = time
         if self._recorder is not None:
@@ -325,9 +327,10 @@ class ControlLoop:
         last = self._last
         if last is None or not self._keep_alive:
             return
-        assert isinstance(last, cs.FullState)
         command = last
-        if self._deadlines.policy is LatePolicy.EXTRAPOLATE:
+        if not isinstance(last, cs.FullState):
+            pass  # an attitude leads on by itself, and is best held
+        elif self._deadlines.policy is LatePolicy.EXTRAPOLATE:
             position, velocity = np.asarray(last.position), np.asarray(last.velocity)
             push = np.asarray(last.acceleration)
             command = cs.FullState(
@@ -337,9 +340,9 @@ class ControlLoop:
                 last.yaw,
                 last.omega,
             )
-        elif self._deadlines.policy is LatePolicy.HOVER:
+        elif self._deadlines.policy is LatePolicy.HOVER and len(self._rows):
             rest = np.zeros(3)
-            command = cs.FullState(np.array(self._obs[0:5:2], float), rest, rest, last.yaw, rest)
+            command = cs.FullState(self._rows[-1, TR_POS : TR_POS + 3], rest, rest, last.yaw, rest)
         self._last = command
         self._world.send(command)
 
@@ -405,14 +408,12 @@ class ControlLoop:
         )
 
     def _why(self, reason: str) -> str:
-        return explain(
+        return self._contract.why(
+            self._referee,
             reason,
             self._events,
             self._rows,
-            self._referee.true_gates,
-            self._referee.level,
-            highest=float(self._highest),
-            passed=self._referee.gates_passed,
-            first_command=self._first,
-            error=self._error,
+            self._highest,
+            self._first,
+            self._error,
         )

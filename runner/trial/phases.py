@@ -29,9 +29,8 @@ from crazyarena.runner.trial.phase import (
     Phase,
     Timeouts,
 )
-from crazyarena.runner.trial.tracked_world import TrackedWorld, heading_like, roll_pitch_yaw
-from crazyarena.safety.placement import allowed
-from crazyarena.sim_backend.arena_world import track_truth
+from crazyarena.runner.trial.site import LevelSite, Site
+from crazyarena.runner.trial.tracked_world import TrackedWorld, roll_pitch_yaw
 from crazyarena.sim_backend.firmware.supervisor import (
     INFO_ARMED,
     INFO_CAN_ARM,
@@ -60,6 +59,7 @@ class Crew(Homecoming):
     surveyed: poses of the track by body name, from an earlier survey; None measures them.
     checks: further pre-flight checks; each returns what is wrong, in plain words.
     anywhere: the vehicle need not stand at the level's start.
+    site: where the track's bodies are to stand; as the level says by default.
 
     ``grip`` is what the operator must hold, if anything; it is looked at from arming on.
 
@@ -78,6 +78,7 @@ class Crew(Homecoming):
         surveyed: dict[str, Pose] | None = None,
         checks: tuple[Callable[[], list[str]], ...] = (),
         anywhere: bool = False,
+        site: Site | None = None,
     ) -> None:
         super().__init__(rig, level, on_phase, timeouts or Timeouts())
         self._world = world
@@ -85,6 +86,7 @@ class Crew(Homecoming):
         self._surveyed = surveyed
         self._checks = checks
         self._anywhere = anywhere
+        self._site: Site = site or LevelSite(level)
         self.survey_report: SurveyReport | None = None
 
     # Before the run
@@ -211,6 +213,9 @@ class Crew(Homecoming):
             ),
         )
         problems = [problem for check in self._checks for problem in check()]
+        wrong = self._site.start_problem(place.position)
+        if wrong is not None:
+            problems.append(f"vehicle {rig.vehicle} {wrong}; move it")
         if problems:
             raise Aborted(Phase.PREFLIGHT, "; ".join(problems))
         self._home = self._estimate().state.position.copy()
@@ -241,36 +246,25 @@ class Crew(Homecoming):
             )
 
     def _survey(self) -> MeasuredTrack:
-        level = self._level
-        nominal_gates = np.array([[*gate.row] for gate in level.track.gates]).reshape(-1, 7)
-        nominal_obstacles = np.array([o.row for o in level.track.obstacles]).reshape(-1, 6)
-        nominal = track_truth(nominal_gates, nominal_obstacles)
+        site = self._site
         poses = self._surveyed
         source = "earlier survey"
         if poses is None and (taped := self._rig.taped()):
             poses, source = taped, "measured by hand"
-        if poses is None and nominal and self._rig.onboard is not None:
+        if poses is None and site.nominal and self._rig.onboard is not None:
             raise Aborted(Phase.SURVEY, "no cameras measure the track; --survey FILE")
-        if poses is None and nominal:
-            poses, source = self._measure(nominal), "measured"
-        missing = [name for name in nominal if name not in (poses or {})]
+        if poses is None and site.nominal:
+            poses, source = self._measure(), "measured"
+        missing = [name for name in site.nominal if name not in (poses or {})]
         if missing:
             raise Aborted(Phase.SURVEY, f"no pose of {', '.join(missing)}")
-        gates, obstacles = nominal_gates.copy(), nominal_obstacles.copy()
-        for i, row in enumerate(gates):
-            _put(row, poses[f"gate{i + 1}"])  # type: ignore[index]
-            # Bodies are at the foot; posts have one length, so the kind tells the height.
-            row[2] = level.track.gates[i].centre[2]
-        for i, row in enumerate(obstacles):
-            _put(row, poses[f"obstacle{i + 1}"])  # type: ignore[index]
-            row[2] = nominal_obstacles[i, 2]
-        return MeasuredTrack(gates, obstacles, source)
+        return MeasuredTrack(*site.track(poses or {}), source)
 
-    def _measure(self, nominal: dict[str, Pose]) -> dict[str, Pose]:
-        rig = self._rig
+    def _measure(self) -> dict[str, Pose]:
+        rig, site = self._rig, self._site
         config = SurveyConfig(
-            allowed=allowed(self._level),
-            full_turn=False,
+            allowed=site.allowed,
+            full_turn=site.full_turn,
         )
         frames: list[PoseFrame] = []
 
@@ -287,8 +281,7 @@ class Crew(Homecoming):
             )
         finally:
             rig.listeners.frames.remove(listen)
-        moving = [f"gate{i + 1}" for i in self._level.track.tracked]
-        report = self.survey_report = survey(frames, nominal, config, moving)
+        report = self.survey_report = survey(frames, site.nominal, config, site.moving)
         try:
             return report.track()
         except InputError as error:
@@ -349,9 +342,3 @@ def preparations(place: VehicleState, controller: int = MELLINGER) -> list[cs.Se
         ("kalman.resetEstimation", 0),
     )
     return [cs.SetParam(name, value) for name, value in wanted]
-
-
-def _put(row: Array, pose: Pose) -> None:
-    """Overwrite a nominal row with a measured pose; what has no front keeps its heading."""
-    row[:3] = pose.position
-    row[3:6] = (0.0, 0.0, heading_like(row[5], pose.quaternion))

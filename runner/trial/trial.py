@@ -10,23 +10,20 @@ reset tells the contestant nothing.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from functools import cached_property
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from crazyarena import __version__
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
-from crazyarena.levels import dump_level
-from crazyarena.levels.draw import Draw, LevelRandom
+from crazyarena.levels.draw import Draw, SeparateDraws
 from crazyarena.levels.schema import Level
 from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.interrupt import Interrupt
-from crazyarena.runner.judging.referee import Referee, Verdict, observation
+from crazyarena.runner.judging.referee import Verdict
 from crazyarena.runner.judging.result import (
     ABORTED,
     CONTROLLER_ERROR,
@@ -36,8 +33,8 @@ from crazyarena.runner.judging.result import (
     EpisodeResult,
     TrialResult,
 )
-from crazyarena.runner.records.recorder import Recorder
-from crazyarena.runner.records.scene import scene_update
+from crazyarena.runner.records.recorder import SINCE, Recorder
+from crazyarena.runner.trial.contract import Contract, Contract2022, Draws
 from crazyarena.runner.trial.control_loop import ControlLoop, Deadlines
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.trial.phase import Aborted, MeasuredTrack, Phase
@@ -59,10 +56,11 @@ class Trial:
     level: what is flown.
     contestant: loaded; the caller closes it.
     world: not reset yet; the caller closes it.
+    contract: how worlds are drawn, judged and told of; that of 2022 by default.
     staging: what surrounds a run; nothing by default.
     deadlines: those of the level's profile by default.
     episodes: how many; default the level's own number.
-    seed: replaces the level's own.
+    seed: replaces the level's own. seeds: one for each episode instead, which are then as many.
     out: existing folder for recordings, or None to record nothing.
     keep_states: keep the flight in memory for ``on_episode`` even if nothing is recorded.
     on_step: called with (episode, time s) after every control step.
@@ -76,10 +74,12 @@ class Trial:
         contestant: Contestant,
         world: World,
         *,
+        contract: Contract | None = None,
         staging: Staging | None = None,
         deadlines: Deadlines | None = None,
         episodes: int | None = None,
         seed: int | None = None,
+        seeds: Sequence[int] | None = None,
         out: Path | None = None,
         keep_states: bool = False,
         on_step: Callable[[int, float], None] | None = None,
@@ -90,10 +90,14 @@ class Trial:
         self._level = level
         self._contestant = contestant
         self._world = world
+        self._contract = contract or Contract2022(level)
         self._staging = staging or Staging()
         self._deadlines = deadlines or FlightOptions().deadlines(level)
         self._episodes = level.num_episodes if episodes is None else episodes
         self._seed = level.seed if seed is None else seed
+        self._seeds = seeds
+        if seeds is not None:
+            self._episodes = len(seeds)
         self._out = out.resolve() if out is not None else None
         self._keep_states = keep_states
         self._on_step = on_step
@@ -107,10 +111,14 @@ class Trial:
 
     def run(self) -> TrialResult:
         """Fly; raises InputError when the controller cannot be constructed."""
-        random = LevelRandom(self._level, self._seed)
-        referee = Referee(self._level)
+        random: Draws
+        if self._seeds is None:
+            random = self._contract.draws(self._seed)
+        else:
+            random = SeparateDraws(self._level, self._seeds)
+        referee = self._contract.referee()
         results: list[EpisodeResult] = []
-        obs: list[Any] = []
+        obs: Any = []
         with self._staging.interruptible() as interrupt:
             self._contestant.heed(interrupt)
             for index in range(self._episodes):
@@ -123,7 +131,7 @@ class Trial:
                         self._made = False
                         continue
                     flown = result.termination
-                    self._hook("interEpisodeReset", result, interrupt)
+                    self._hooks(self._contract.between, result, interrupt)
                     if result.termination != flown:
                         break
         return TrialResult(results, self._episodes, cut_short=self._cut_short)
@@ -132,20 +140,19 @@ class Trial:
         self,
         index: int,
         draw: Draw,
-        referee: Referee,
-        obs: list[Any],
+        referee: Any,
+        obs: Any,
         interrupt: Interrupt,
-    ) -> tuple[EpisodeResult, list[Any]]:
-        staging = self._staging
+    ) -> tuple[EpisodeResult, Any]:
+        staging, contract = self._staging, self._contract
         self._world.reset(draw)
         try:
             track = staging.prepare(draw)
-            referee.begin(track.gates, track.obstacles, staging.follow())
             start = staging.start(draw)
-            referee.warm_up(start)
-            if staging.fresh or not self._made:
-                obs = observation(start)
-            if not self._made:
+            contract.begin(referee, draw, track, staging.follow(), start)
+            if staging.fresh or contract.renews or not self._made:
+                obs = contract.first(referee, start)
+            if contract.renews or not self._made:
                 self._make(obs, start)
         except Aborted as error:
             return self._aborted(index, error), obs
@@ -168,12 +175,12 @@ class Trial:
             self._cut_short = recorder.trouble
             result.files["recording"] = recorder.file.name
         if result.termination not in _ENDS_TRIAL:
-            result.interepisode_learning_time = self._hook("interEpisodeLearn", result, interrupt)
+            result.interepisode_learning_time = self._hooks(contract.after, result, interrupt)
         if self._on_episode is not None:
             self._on_episode(result, recorder, track)
         return result, obs
 
-    def _make(self, obs: list[Any], start: np.ndarray) -> None:
+    def _make(self, obs: Any, start: np.ndarray) -> None:
         with self._staging.else_abort():
             try:
                 self._contestant.make(obs, self._level, start)
@@ -187,11 +194,11 @@ class Trial:
     def _run(
         self,
         index: int,
-        referee: Referee,
-        obs: list[Any],
+        referee: Any,
+        obs: Any,
         interrupt: Interrupt,
         recorder: Recorder | None,
-    ) -> tuple[EpisodeResult, list[Any]]:
+    ) -> tuple[EpisodeResult, Any]:
         staging, on_step, show = self._staging, self._on_step, self._show
         staging.begin()
         if show is not None:
@@ -210,6 +217,7 @@ class Trial:
             self._level.control_frequency,
             self._deadlines,
             interrupt,
+            self._contract,
             keep_alive=staging.keep_alive,
             recorder=recorder,
             watch=staging.watch,
@@ -252,6 +260,15 @@ class Trial:
             phases=self._staging.durations,
         )
 
+    def _hooks(self, names: tuple[str, ...], result: EpisodeResult, interrupt: Interrupt) -> float:
+        """Call some of the contestant's hooks, up to the first that fails; s that they took."""
+        flown, spent = result.termination, 0.0
+        for name in names:
+            spent += self._hook(name, result, interrupt)
+            if result.termination != flown or interrupt.asked:
+                break
+        return spent
+
     def _hook(self, name: str, result: EpisodeResult, interrupt: Interrupt) -> float:
         try:
             seconds, error = self._contestant.hook(name)
@@ -264,21 +281,15 @@ class Trial:
         self._thought += seconds
         return seconds
 
-    @cached_property
-    def _level_file(self) -> str:
-        # Once a trial: writing YAML takes as long as a few seconds of flight.
-        return dump_level(self._level)
-
     def _recorder(
         self, index: int, draw: Draw, track: MeasuredTrack, start: np.ndarray
     ) -> Recorder | None:
         if self._out is None and not self._keep_states:
             return None
         metadata = {
-            "crazyarena": __version__,
-            "level": self._level.name,
-            "level_file": self._level_file,
-            "seed": str(self._seed),
+            "crazyarena": SINCE,
+            **self._contract.metadata(draw, track, start),
+            "seed": str(self._seed if self._seeds is None else self._seeds[index]),
             "episode": str(index),
             "submission_sha256": self._contestant.digest,
             "start": json.dumps(start.tolist()),
@@ -288,6 +299,6 @@ class Trial:
             "obstacles": json.dumps(track.obstacles.tolist()),
         }
         metadata |= self._staging.metadata(track)
-        scene = scene_update(track.gates, track.obstacles, self._level)
+        scene = self._contract.scene(track)
         file = None if self._out is None else self._out / f"episode_{index:03d}.mcap"
         return Recorder(file, metadata, scene, self._wall, logs=self._staging.logs)

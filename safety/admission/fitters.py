@@ -6,7 +6,14 @@ from collections.abc import Callable
 from typing import Any
 
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.safety.admission import avoidance, parameters, plans, setpoints, trajectories
+from crazyarena.safety.admission import (
+    attitudes,
+    avoidance,
+    parameters,
+    plans,
+    setpoints,
+    trajectories,
+)
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room
 
@@ -18,7 +25,8 @@ FITTERS: dict[type, Fitter] = {
     c.Position: setpoints.position,
     c.VelocityWorld: setpoints.velocity_world,
     c.Hover: setpoints.hover,
-    c.Attitude: setpoints.attitude,
+    c.Attitude: attitudes.attitude,
+    c.RollPitchYawThrust: attitudes.angles,
     c.Takeoff: plans.takeoff,
     c.Land: plans.land,
     c.GoTo: plans.go_to,

@@ -30,6 +30,8 @@ class VehicleMemory:
     avoiding: collision avoidance on board is on.
     group_mask: of the vehicle; None until the runner has set it.
     boot: parameters as they were before the runner's first write.
+    pushed: acceleration, m/s2, that the last setpoint asks for, where that is an attitude.
+    heading: of the last setpoint with one, rad, and when it was, s.
     then: what becomes true once the command that was looked at last is sent.
     """
 
@@ -51,6 +53,8 @@ class VehicleMemory:
     boot: dict[str, float] = field(default_factory=dict)
     trajectories: TrajectoryMemory = field(default_factory=TrajectoryMemory)
     planner: Planner = field(default_factory=Planner)
+    pushed: Point | None = None
+    heading: tuple[float, float] = (0.0, -math.inf)
     then: Callable[[], None] | None = None
 
     def refusal(self, command: c.Command, reason: str) -> Refused:
@@ -104,7 +108,7 @@ class VehicleMemory:
         self.setpoint_time = now
         self.planner.stream()
         self.is_reference = isinstance(command, c.FullState)
-        self.setpoint = None
+        self.setpoint = self.pushed = None
         self.velocity = (0.0, 0.0, 0.0)
         if isinstance(command, c.FullState | c.Position):
             self.setpoint = as_point(command.position)
@@ -115,7 +119,7 @@ class VehicleMemory:
         """Note that motors were told to stop."""
         self.streaming = False
         self.ending = True
-        self.setpoint = None
+        self.setpoint = self.pushed = None
         self.planner.stop()
 
 

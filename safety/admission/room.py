@@ -9,10 +9,11 @@ from typing import Any
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import InputError
 from crazyarena.safety.admission.memory import Refused, VehicleMemory
+from crazyarena.safety.attitude_path import AttitudeLoss
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.link_loss import LinkLoss, largest_share
-from crazyarena.safety.observation import Point, as_point
+from crazyarena.safety.observation import LAG, Point, as_point
 from crazyarena.safety.planner import Motion
 from crazyarena.types import VehicleState
 
@@ -21,6 +22,7 @@ _PEAK_SPEED = 35.0 / 16.0
 _PEAK_ACCELERATION = 7.5132
 _VELOCITY_HORIZON = 0.5  # s of a velocity setpoint that have to end inside the fence
 _MEMORY = 0.5  # s after which the last setpoint no longer bounds the next
+_MOST_LAG = 0.4  # m
 _WAY_STEP = 0.025  # m, between looks along a way
 OUT_IF_LOST = "it would carry the vehicle out of the fence if the link were lost now"
 
@@ -46,6 +48,7 @@ class Room:
         self.fence = fence
         self.limits = limits
         self.link_loss = LinkLoss(fence, limits)
+        self.attitude_loss = AttitudeLoss(fence, limits)
         self.state = state
         self.parameter = parameter
 
@@ -148,18 +151,40 @@ class Room:
         reasons.append(f"velocity {text(velocity)} m/s leads out of the fence within {horizon:g} s")
         return velocity[0] * left, velocity[1] * left, velocity[2] * left
 
+    @staticmethod
+    def _lag(where: Point, moving: Point, point: Point, velocity: Point) -> float:
+        """m that a vehicle on its way to ``point`` is behind because ``velocity`` says less than
+        its speed: the controller's damping takes that for a disturbance."""
+        away = math.dist(where, point)
+        if away < 1e-9:
+            return 0.0
+        ahead = [p - w for p, w in zip(point, where, strict=True)]
+        closing = sum(a * v for a, v in zip(ahead, moving, strict=True))
+        untold = closing - sum(a * told for a, told in zip(ahead, velocity, strict=True))
+        return min(max(LAG * min(closing, untold) / away, 0.0), _MOST_LAG)
+
     def reachable(
-        self, point: Point, memory: VehicleMemory, now: float, reasons: list[str]
+        self,
+        point: Point,
+        memory: VehicleMemory,
+        now: float,
+        reasons: list[str],
+        velocity: Point = (0.0, 0.0, 0.0),
     ) -> Point:
-        """Bound a streamed position by the one before it, and by where the vehicle is."""
+        """Bound a streamed position by the one before it, and by where the vehicle is.
+
+        ``velocity``: m/s, that is streamed with it.
+        """
         n = self.limits
         age = now - memory.setpoint_time
         if memory.setpoint is not None and age <= _MEMORY:
             limit = n.setpoint_step + n.setpoint_speed * age
             point = towards(memory.setpoint, point, limit, "last setpoint", reasons)
-        where = self.where(memory.vehicle)
-        if where is not None:
-            point = towards(where, point, n.setpoint_lead, "vehicle", reasons)
+        state = self.state(memory.vehicle)
+        if state is not None:
+            where = as_point(state.position)
+            lead = n.setpoint_lead + self._lag(where, as_point(state.velocity), point, velocity)
+            point = towards(where, point, lead, "vehicle", reasons)
             if not self.fence.is_convex:
                 point = self._in_sight(where, point, reasons)
         return point

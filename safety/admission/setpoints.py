@@ -18,7 +18,7 @@ def full_state(
     reasons: list[str] = []
     asked = as_point(m.position)
     place = room.inside(asked, memory.vehicle, reasons, "position")
-    place = room.reachable(place, memory, now, reasons)
+    place = room.reachable(place, memory, now, reasons, as_point(m.velocity))
     velocity = room.slowed(as_point(m.velocity), reasons, "speed", n.setpoint_speed)
     acceleration = room.slowed(
         as_point(m.acceleration), reasons, "acceleration", n.setpoint_acceleration
@@ -86,20 +86,3 @@ def hover(room: Room, m: c.Hover, memory: VehicleMemory, now: float) -> tuple[c.
     if not reasons:
         return m, reasons
     return replace(m, vx=velocity[0], vy=velocity[1], height=height), reasons
-
-
-def attitude(
-    room: Room, m: c.Attitude, memory: VehicleMemory, now: float
-) -> tuple[c.Command, list[str]]:
-    if not room.limits.allow_attitude:
-        raise memory.refusal(
-            m,
-            "attitude setpoints cannot be held inside a fence; the "
-            "safety limit allow_attitude lets them pass",
-        )
-    limit = room.limits.setpoint_tilt
-    roll, pitch = (min(max(float(a), -limit), limit) for a in (m.roll, m.pitch))
-    if (roll, pitch) == (float(m.roll), float(m.pitch)):
-        return m, []
-    reason = f"tilt of roll {m.roll:.2f}, pitch {m.pitch:.2f} rad is above {limit:g}"
-    return replace(m, roll=roll, pitch=pitch), [reason]

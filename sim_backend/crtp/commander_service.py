@@ -26,6 +26,10 @@ class Pilot(Protocol):
         """Priority in force, 0 when no source is active."""
         ...
 
+    def yaw_angle(self) -> bool:
+        """Whether the legacy setpoint says a heading, and not its rate."""
+        ...
+
     def offer(self, row: np.ndarray) -> None:
         """Take a setpoint row (see :mod:`.firmware.layout`)."""
         ...
@@ -55,7 +59,8 @@ class CommanderService:
     def _rpyt(self, packet: Packet) -> np.ndarray | None:
         if packet.channel != 0 or len(packet.data) != _RPYT_BYTES:
             return None
-        return self.rpyt.decode(packet.data, self._pilot.priority())
+        pilot = self._pilot
+        return self.rpyt.decode(packet.data, pilot.priority(), pilot.yaw_angle())
 
     def _generic(self, packet: Packet) -> np.ndarray | None:
         data = packet.data

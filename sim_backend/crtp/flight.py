@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from crazyarena.sim_backend.arena import ArenaFleet
-from crazyarena.sim_backend.arena_params import PARAM_INDEX, PARAMS
+from crazyarena.sim_backend.arena_params import PARAM_INDEX, PARAMS, YAW_MODE
 from crazyarena.sim_backend.firmware import commander as cm
 from crazyarena.sim_backend.firmware import stack_2026
 from crazyarena.sim_backend.firmware import supervisor as sv
@@ -69,6 +69,9 @@ class ArenaVehicle:
 
     def priority(self) -> int:
         return int(self.rows.commander[cm.CM_PRIORITY])
+
+    def yaw_angle(self) -> bool:
+        return self.fleet.get_param(self.index, YAW_MODE) == 1
 
     def offer(self, row: np.ndarray) -> None:
         self.fleet.setpoint(self.index, row)

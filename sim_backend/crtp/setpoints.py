@@ -217,8 +217,28 @@ def decode_notify(payload: bytes) -> int | None:
     return int(struct.unpack_from("<I", payload, 1)[0])
 
 
+def decode_rpyt(payload: bytes, yaw_angle: bool = False, locked: bool = False) -> Row | None:
+    """Decode a port 3 payload; None if it is too short.
+
+    ``yaw_angle``: the third number is a heading (``flightmode.stabModeYaw`` is 1), not a rate.
+    ``locked``: no thrust is let through.
+    """
+    if len(payload) < _RPYT.size:
+        return None
+    roll, pitch, yaw, thrust = _RPYT.unpack_from(payload)
+    row = np.zeros(SETPOINT_SIZE)
+    _modes(row, 0, 0, 0, MODE_ABS, MODE_ABS, MODE_ABS if yaw_angle else MODE_VELOCITY)
+    row[SP_ATT : SP_ATT + 2] = roll, pitch
+    if yaw_angle:
+        row[SP_ATT + 2] = yaw
+    else:
+        row[SP_RATE + 2] = -yaw
+    row[SP_THRUST] = 0 if locked or thrust < _MIN_THRUST else min(thrust, _MAX_THRUST)
+    return row
+
+
 class RpytDecoder:
-    """Port 3 packets: attitude, yaw rate and thrust, with the thrust lock of one vehicle.
+    """Port 3 packets: attitude, yaw and thrust, with the thrust lock of one vehicle.
 
     Thrust stays locked at 0 after boot, and again whenever no source is active (priority 0),
     until a packet with zero thrust arrives.
@@ -227,20 +247,15 @@ class RpytDecoder:
     def __init__(self) -> None:
         self.locked = True
 
-    def decode(self, payload: bytes, priority: int) -> Row | None:
-        """Decode a payload; ``priority`` is the commander's present one. None if too short."""
+    def decode(self, payload: bytes, priority: int, yaw_angle: bool = False) -> Row | None:
+        """Decode a payload; ``priority`` is the commander's present one. None if too short.
+
+        ``yaw_angle``: as for :func:`decode_rpyt`.
+        """
         if len(payload) < _RPYT.size:
             return None
-        roll, pitch, yaw_rate, thrust = _RPYT.unpack_from(payload)
         if priority == 0:
             self.locked = True
-        if thrust == 0:
+        if _RPYT.unpack_from(payload)[3] == 0:
             self.locked = False
-        if self.locked or thrust < _MIN_THRUST:
-            thrust = 0
-        row = np.zeros(SETPOINT_SIZE)
-        _modes(row, 0, 0, 0, MODE_ABS, MODE_ABS, MODE_VELOCITY)
-        row[SP_ATT : SP_ATT + 2] = roll, pitch
-        row[SP_RATE + 2] = -yaw_rate
-        row[SP_THRUST] = min(thrust, _MAX_THRUST)
-        return row
+        return decode_rpyt(payload, yaw_angle, self.locked)

@@ -8,6 +8,7 @@ import pytest
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import BackendError, CommandError
 from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
+from crazyarena.sim_backend.arena_params import YAW_MODE
 from crazyarena.sim_backend.firmware import layout as la
 from crazyarena.sim_backend.firmware import stack_2026
 from crazyarena.sim_backend.firmware import supervisor as sv
@@ -175,6 +176,20 @@ def test_attitude_velocity_and_hover_streams():
     pitched = c.Attitude(0.0, 0.2, 0.0, 42000)
     fly(fleet, 0.4, lambda _: fleet.send(pitched, 0))
     assert fleet.true_state(0).velocity[0] > 0.3
+
+
+def test_the_legacy_attitude_turns_to_a_heading_where_a_parameter_says_so():
+    for mode, wanted in ((1, 0.5), (0, -0.5)):
+        fleet = airborne()
+        fleet.set_param(0, YAW_MODE, mode)
+        told = c.RollPitchYawThrust(0.0, 0.1, 0.5, 36000)
+        fly(fleet, 1.0, lambda _, fleet=fleet, told=told: fleet.send(told, 0))
+        x, y, z, w = fleet.true_state(0).quaternion
+        yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        # As a rate it is one in degrees a second, and clockwise.
+        assert yaw == pytest.approx(wanted, abs=0.1)
+        # Nose down leads ahead.
+        assert fleet.true_state(0).velocity[0] > 0.3
 
 
 def test_uploaded_trajectory_is_flown():

@@ -49,7 +49,8 @@ class Drawing:
 @dataclass(slots=True)
 class LsyAnswer:
     """command: None if none was asked for, or the controller finished or failed; error: its
-    traceback. seconds: of ``compute_control`` and of ``step_callback``, as measured where it is.
+    traceback. timed_out: it did not come in the time allowed. seconds: of ``compute_control`` and
+    of ``step_callback``, as measured where it is.
     """
 
     step: int
@@ -59,6 +60,7 @@ class LsyAnswer:
     command_seconds: float = 0.0
     callback_seconds: float = 0.0
     seconds: float = 0.0
+    timed_out: bool = False
     drawings: list[Drawing] = field(default_factory=list)
 
 

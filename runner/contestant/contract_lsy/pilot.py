@@ -18,7 +18,7 @@ from crazyarena.runner.contestant.contract_lsy.dialogue import (
     Observation,
 )
 from crazyarena.runner.contestant.contract_lsy.submission import LsySubmission, controller_traceback
-from crazyarena.runner.timing.step_limit import TimeIsUp, bounded
+from crazyarena.runner.timing.step_limit import StepLimit, TimeIsUp, bounded
 
 _PATIENCE = 30.0  # s of wall time for one answer
 MAX_POINTS = 1000
@@ -124,6 +124,36 @@ class LsyInProcess(LsyPilot):
             "isolated": False,
             "sandbox": [],
         }
+        self._question: LsyQuestion | None = None
+        self._limit = StepLimit()
+
+    def put(self, question: LsyQuestion) -> None:
+        """Put a question; :meth:`take` asks it."""
+        self._question = question
+
+    def take(self, timeout: float) -> LsyAnswer | None:
+        """Answer the last question; interrupted when it does not return in time."""
+        question, self._question = self._question, None
+        if question is None:
+            return None
+        limit, started = self._limit, time.perf_counter()
+        try:
+            limit.begin(started, timeout)
+            return super().ask(question)
+        except TimeIsUp as late:
+            text = f"step {question.step}: no answer within {timeout:g} s of wall time"
+            return LsyAnswer(
+                question.step,
+                error=f"{text}\n{controller_traceback(late)}",
+                seconds=time.perf_counter() - started,
+                timed_out=True,
+            )
+        finally:
+            limit.end()
+
+    def close(self) -> None:
+        self._limit.close()
+        super().close()
 
     def ask(self, question: LsyQuestion) -> LsyAnswer:
         """As there; interrupted when it does not return in time."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,19 @@ class LsySandboxed(Sandboxed):
     """
 
     def __init__(
-        self, file: Path, drone_model: str, limits: Limits | None = None, *, require: bool = False
+        self,
+        file: Path,
+        drone_model: str,
+        limits: Limits | None = None,
+        *,
+        require: bool = False,
+        parameters: Mapping[str, object] | None = None,
+        patience: float | None = None,
     ) -> None:
         self._model = drone_model
-        super().__init__(file, limits, require=require)
+        self._wants = False
+        self._patience = _PATIENCE if patience is None else patience
+        super().__init__(file, limits, require=require, parameters=parameters)
 
     def _copied(self) -> tuple[Path, str, Box]:
         box = Box(self.path, self._limits.copy_size, bundle_root(self.path))
@@ -37,23 +47,38 @@ class LsySandboxed(Sandboxed):
 
     def make(self, obs: Observation, config: dict[str, Any]) -> None:  # type: ignore[override]
         # The seed would tell what nobody has seen yet.
+        if self._step is not None:
+            # An earlier episode ended without the answer to its last question.
+            self.wait(self._limits.make_timeout)
         env = {**config.get("env", {}), "seed": -1}
-        payload = (obs, {**config, "env": env})
+        told = {"parameters": self._parameters} if self._parameters else {}
+        payload = (obs, {**config, "env": env, **told})
         self._request("make", payload, self._limits.make_timeout, "the controller's constructor")
 
-    def ask(self, question: LsyQuestion) -> LsyAnswer:  # type: ignore[override]
+    def put(self, question: LsyQuestion) -> None:
+        """Put a question; returns at once."""
+        self._wants = question.obs is not None
         super().ask(question)  # type: ignore[arg-type]
-        answer: Any = self.wait(_PATIENCE)
+
+    def take(self, timeout: float) -> LsyAnswer | None:
+        """The answer, or None if there is none within ``timeout`` s of wall time."""
+        answer: Any = self.wait(timeout)
+        if answer is None:
+            return None
+        if isinstance(answer, Answer):
+            return LsyAnswer(answer.step, error=answer.error or "no answer", seconds=answer.seconds)
+        if self._wants and not answer.finished and answer.command is None:
+            self.kill()
+            return LsyAnswer(answer.step, error=f"step {answer.step}: it sent no command")
+        return answer
+
+    def ask(self, question: LsyQuestion) -> LsyAnswer:  # type: ignore[override]
+        self.put(question)
+        answer = self.take(self._patience)
         if answer is None:
             self.kill()
             return LsyAnswer(
                 question.step,
-                error=f"step {question.step}: no answer within {_PATIENCE:g} s",
+                error=f"step {question.step}: no answer within {self._patience:g} s",
             )
-        if isinstance(answer, Answer):
-            return LsyAnswer(answer.step, error=answer.error or "no answer", seconds=answer.seconds)
-        wants = question.obs is not None and not answer.finished
-        if wants and answer.command is None:
-            self.kill()
-            return LsyAnswer(question.step, error=f"step {question.step}: it sent no command")
         return answer

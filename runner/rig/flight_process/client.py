@@ -289,6 +289,7 @@ def connected(
     environment: Mapping[str, str] | None = None,
     model: Vehicle | None = None,
     plant_log: bool = True,
+    params: Mapping[str, float] | None = None,
 ) -> Rig:
     """Start a flight process that connects to a vehicle and a camera system.
 
@@ -300,6 +301,7 @@ def connected(
     environment: of that process, this one's own by default.
     model: what vehicle it is, the default one if not given: its parameters are written.
     plant_log: have it tell of motors, accelerometer and voltage.
+    params: further firmware parameters to write.
 
     Raises
     ------
@@ -318,7 +320,7 @@ def connected(
             origin,
             limits,
             real_time,
-            told_params(load_vehicle() if model is None else model),
+            {**told_params(load_vehicle() if model is None else model), **(params or {})},
             plant_log,
         ),
         environment,

@@ -15,7 +15,7 @@ from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.checks import check
 from crazyarena.crazyswarm_compat.radio import packets as pk
 from crazyarena.errors import CommandError
-from crazyarena.sim_backend.crtp.setpoints import decode_setpoint
+from crazyarena.sim_backend.crtp.setpoints import decode_rpyt, decode_setpoint
 from crazyarena.sim_backend.firmware import layout as la
 from crazyarena.types import Pose
 
@@ -141,6 +141,24 @@ class TestMeaning:
         thrust = int(10001 + 0.5 * (60000 - 10001))
         ours = self.row(c.Attitude(*np.radians([5.0, 10.0, 20.0]), thrust))
         np.testing.assert_allclose(ours, theirs, rtol=1e-6)
+
+    def test_a_heading_goes_in_the_legacy_packet_as_theirs(self):
+        cf = Cflib(12)
+        Commander(cf).send_setpoint(5.0, 10.0, 170.0, 30000)
+        theirs = cf.take().data
+        unlock, command = pk.setpoint(
+            c.RollPitchYawThrust(*np.radians([5.0, 10.0, 170.0 - 360.0]), 30000), 12, "cf1"
+        )
+        assert unlock == pk.Packet(3, 0, bytes(14))
+        assert (command.port, command.channel) == (3, 0)
+        assert struct.unpack("<fffH", command.data) == pytest.approx(
+            struct.unpack("<fffH", theirs), rel=1e-6
+        )
+        angle, rate = decode_rpyt(command.data, yaw_angle=True), decode_rpyt(command.data)
+        assert (angle[la.M_YAW], angle[la.SP_ATT + 2]) == pytest.approx((la.MODE_ABS, 170.0))
+        assert (rate[la.M_YAW], rate[la.SP_RATE + 2]) == pytest.approx((la.MODE_VELOCITY, -170.0))
+        assert angle[la.SP_THRUST] == 30000
+        assert decode_rpyt(command.data, locked=True)[la.SP_THRUST] == 0
 
     def test_old_firmware_gets_its_thrust_unlocked_first(self):
         unlock, command = pk.setpoint(c.Attitude(0.1, 0.2, 0.3, 40000), 4, "cf1")

@@ -60,10 +60,14 @@ def test_bad_input_exits_with_2(call):
         (STATE, ("evaluate", "mine.py", "--set", "env.freq=7"), "divisor"),
         (HEAD + "x = 1\n", ("evaluate", "mine.py"), "derives from"),
         (STATE, ("evaluate", "other.py"), "no such file"),
-        (STATE, ("bench", "mine.py"), "flies in simulation alone: crazyarena dry-run mine.py"),
-        (STATE, ("fly", "mine.py"), "flies in simulation alone: crazyarena dry-run mine.py"),
-        (STATE, ("arena-check", "lsy/level0"), "flown by dry-run and evaluate"),
-        (STATE, ("arena-check", "none.toml"), "flown by dry-run and evaluate"),
+        (STATE, ("bench", "mine.py", "--level", "sim2real"), "none of its levels"),
+        (STATE, ("fly", "mine.py"), "needs --uri and --mocap"),
+        (STATE, ("evaluate", "mine.py", "--set", "profile=arena"), "dry-run"),
+        (STATE, ("dry-run", "mine.py", "--secret", "--seed", "1"), "exclude each other"),
+        (STATE, ("evaluate", "mine.py", "--secret", "--set", "rng=threefry"), "pcg64"),
+        (STATE, ("dry-run", "mine.py", "--secret", "--no-sandbox"), "exclude each other"),
+        (STATE, ("arena-check", "lsy/level0"), "flown by dry-run, evaluate, bench and fly"),
+        (STATE, ("arena-check", "none.toml"), "flown by dry-run, evaluate, bench and fly"),
         (HEAD + "x = 1\n", ("evaluate", "mine.py", "--level", "lsy/level1"), "level lsy/level1"),
     ]
     for source, arguments, words in wrong:
@@ -85,6 +89,25 @@ def test_evaluation_counts_and_exits_by_half(call):
     assert document["passed"] is False
     assert document["mean_time"] is None
     assert [r["termination"] for r in document["runs"]] == ["CONTROLLER FINISHED"] * 2
+
+
+def test_secret_draws_are_told_in_the_result_alone(call, tmp_path):
+    result = call(controller("return np.zeros(13)"), "dry-run", "mine.py", "--secret", "--out", "o")
+    document = json.loads((tmp_path / "o" / "result.json").read_text())
+    seed = document["provenance"]["seed"]
+    assert seed > 2**64
+    assert str(seed) not in result.output
+    assert document["provenance"]["contestant"]["process"] == "its own"
+
+
+def test_the_arena_profile_is_chosen_as_for_other_levels(call, tmp_path):
+    result = call(
+        controller("return np.zeros(13)"), "dry-run", "mine.py", "--set", "profile=arena",
+        "--no-sandbox", "--out", "o", "--no-figure",
+    )  # fmt: skip
+    document = json.loads((tmp_path / "o" / "result.json").read_text())
+    assert document["provenance"]["profile"] == "arena"
+    assert document["episodes"][0]["termination"] == "FINISHED", result.output
 
 
 def test_levels_are_listed_and_shown(call):

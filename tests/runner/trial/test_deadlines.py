@@ -12,6 +12,7 @@ from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.contestant.sandbox.process import Sandboxed
 from crazyarena.runner.contestant.submission import Submission
 from crazyarena.runner.judging.referee import Referee
+from crazyarena.runner.trial.contract import Contract2022
 from crazyarena.runner.trial.control_loop import ControlLoop, Deadlines, LatePolicy
 from crazyarena.runner.trial.trial import Trial
 from crazyarena.sim_backend.competition import CompetitionWorld
@@ -44,6 +45,7 @@ def fly(tmp_path, source, compute="free", policy=LatePolicy.HOLD, max_misses=15,
             30.0,
             Deadlines(policy, max_misses, parse_compute(compute)),
             Interrupt(),
+            Contract2022(level),
             keep_alive=keep_alive,
         )
         result, _ = loop.fly([0.0] * 12)

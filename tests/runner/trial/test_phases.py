@@ -13,6 +13,7 @@ from crazyarena.runner.judging.referee import Referee
 from crazyarena.runner.rig.rig import simulated
 from crazyarena.runner.trial.phase import Aborted, Grip, Phase, Timeouts
 from crazyarena.runner.trial.phases import Crew
+from crazyarena.runner.trial.site import LevelSite
 from crazyarena.runner.trial.tracked_world import TrackedWorld
 from crazyarena.sim_backend.firmware.supervisor import INFO_ARMED, INFO_FLYING
 
@@ -130,7 +131,7 @@ def test_blind_cameras_stop_it_on_the_ground(stand):
 def test_a_gate_that_stands_elsewhere_is_refused(stand, level):
     rig, _world, crew, _draw, _ = stand()
     # The arena has a gate 0.5 m away from where the level wants it.
-    crew._level = load_level("sim2real", ["track.gates[1].x=2.6"])
+    crew._site = LevelSite(load_level("sim2real", ["track.gates[1].x=2.6"]))
     with pytest.raises(Aborted, match=r"survey: .*gate2 stands"):
         crew.prepare()
     assert fleet(rig).true_pose(0).position[2] < 0.03
