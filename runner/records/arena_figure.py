@@ -67,7 +67,7 @@ def save_arena(path: Path, level: Level, fence: Fence, height: float) -> None:
         view.set_ylabel(f"{up} [m]")
         view.set_title(f"all of {through}, from {_side(through)}", fontsize=10)
         view.set_aspect("equal")
-    handles = [Patch(fc=_COLOURS[k], label=_MEANINGS[k]) for k in (_FREE, _SOFT)]
+    handles: list[Any] = [Patch(fc=_COLOURS[k], label=_MEANINGS[k]) for k in (_FREE, _SOFT)]
     handles += [
         Patch(fc=_COLOURS[k], alpha=0.5, hatch="//", label=_MEANINGS[k])
         for k in (_ZONE, _PEOPLE)
@@ -132,8 +132,8 @@ def _draw_track(view: Any, level: Level, a: int, b: int) -> None:
     start, goal = level.start.position, level.goal.position
     view.plot(start[a], start[b], "^", color="black", ls="none", label="start")
     view.plot(goal[a], goal[b], "*", color="black", ls="none", label="goal")
-    for place in (start, goal) if b != 2 else ():
-        view.annotate(f"{place[2]:.2f} m", (place[a], place[b]), xytext=(6, -3), fontsize=7,
+    for spot in (start, goal) if b != 2 else ():
+        view.annotate(f"{spot[2]:.2f} m", (spot[a], spot[b]), xytext=(6, -3), fontsize=7,
                       textcoords="offset points")  # fmt: skip
 
 

@@ -74,3 +74,18 @@ def distances(points: Array, entities: Iterable[Mapping[str, Any]]) -> dict[str,
         if each:
             found[name] = np.min(each, axis=0)
     return found
+
+
+def opening(entity: Mapping[str, Any]) -> tuple[Array, float] | None:
+    """Centre (3,) of what a gate's first four bars surround, and half its height, m."""
+    bars = [body for body in bodies(entity) if body.kind == "cubes"][:4]
+    if len(bars) < 4:
+        return None
+    centre = np.mean([bar.centre for bar in bars], axis=0)
+    return centre, float(min(bar.distance(centre)[0] for bar in bars))
+
+
+def gate_openings(entities: Iterable[Mapping[str, Any]]) -> list[tuple[Array, float]]:
+    """Openings of the gates of a track, in their order."""
+    gates = (entity for entity in entities if str(entity.get("id", "")).startswith("gate "))
+    return [found for found in map(opening, gates) if found is not None]

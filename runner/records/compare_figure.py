@@ -42,7 +42,7 @@ def save_figure(file: Path, comparison: Comparison) -> None:
     _arena(top, comparison)
     for flights, colour, name in zip(comparison.groups, COLOURS, comparison.names, strict=True):
         for i, flight in enumerate(flights):
-            label = f"{name}" if i == 0 else None
+            label = unmarked(name) if i == 0 else None
             top.plot(*flight.position[:, :2].T, color=colour, lw=0.9, alpha=0.7, label=label)
     top.set_aspect("equal")
     top.set_xlabel("x [m]")

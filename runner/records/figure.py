@@ -16,14 +16,12 @@ from crazyarena import whole_file
 from crazyarena.levels.schema import Level
 from crazyarena.plain_text import unmarked
 from crazyarena.runner.judging.result import EpisodeResult
-from crazyarena.runner.records.bodies import distances
+from crazyarena.runner.records.bodies import distances, gate_openings
 from crazyarena.runner.records.marks import Mark, marks
-from crazyarena.runner.records.scene import scene_update
 from crazyarena.safety.fence import Fence
 from crazyarena.sim_backend.physics.scene import (
     BASE_WIDTH,
     BEAM_LENGTH,
-    BEAM_OFFSET,
     BEAM_WIDTH,
     OBSTACLE_RADIUS,
     VEHICLE_RADIUS,
@@ -34,7 +32,6 @@ Array = NDArray[np.float64]
 
 _GATE, _NOMINAL, _OBSTACLE, _FENCE = "tab:blue", "0.6", "tab:brown", "tab:green"
 _MARKS = {"contact": "red", "violation": "darkorange", "safety": "purple", "late": "0.45"}
-_OPENING = BEAM_OFFSET - BEAM_WIDTH / 2  # m, half of it
 _MOST_ROWS = 2500  # of a path: more than the picture has points
 _MOST_MARKS = 5  # named in a picture; the others are drawn
 _FAR = 1.0  # m, what is further away than this is no matter of margins
@@ -46,6 +43,7 @@ class Picture:
 
     time (n,) s, position, velocity and setpoint (n, 3), SI; setpoint is NaN before the first
     command. gates (k, 7) and obstacles (m, 6): true poses. ended: the run, s; then the way home.
+    entities: the track as ``foxglove.SceneUpdate`` has it.
     """
 
     level: Level
@@ -59,6 +57,7 @@ class Picture:
     gate_times: Sequence[float] = ()
     marks: list[Mark] = field(default_factory=list)
     ended: float = math.inf
+    entities: list[dict[str, Any]] = field(default_factory=list)
 
 
 def picture(
@@ -68,6 +67,7 @@ def picture(
     gates: Array,
     obstacles: Array,
     *,
+    entities: list[dict[str, Any]] | None = None,
     commanded_from: float = -math.inf,
     isolated: bool = False,
 ) -> Picture:
@@ -76,6 +76,7 @@ def picture(
     Parameters
     ----------
     states: (n, TRACE_SIZE) ticks of the episode. gates, obstacles: (n, 7) and (m, 6), true poses.
+    entities: the same track, solid by solid.
     commanded_from: s, when the first command went out; no setpoint is shown before.
     isolated: the contestant could not reach its judge; if not, the picture says so.
     """
@@ -102,6 +103,7 @@ def picture(
         list(result.gate_times),
         marks(result.events),
         result.flight_time,
+        entities or [],
     )
 
 
@@ -167,7 +169,8 @@ def draw_track(axis: Any, level: Level, gates: Array, obstacles: Array) -> None:
         foot = Rectangle(row[:2] - half, BASE_WIDTH, BASE_WIDTH, fill=False, ec=_OBSTACLE)
         axis.add_patch(foot)
     goal = level.goal
-    axis.add_patch(Circle(goal.position[:2], goal.tolerance, color="tab:green", alpha=0.4))
+    place = goal.position[0], goal.position[1]
+    axis.add_patch(Circle(place, goal.tolerance, color="tab:green", alpha=0.4))
     axis.set_aspect("equal")
     axis.set_xlabel("x [m]")
     axis.set_ylabel("y [m]")
@@ -180,7 +183,7 @@ def draw_arena(axis: Any, level: Level) -> None:
 
     low, high = level.arena.low, level.arena.high
     size = high[0] - low[0], high[1] - low[1]
-    axis.add_patch(Rectangle(low[:2], *size, fill=False, ls="--"))
+    axis.add_patch(Rectangle((low[0], low[1]), *size, fill=False, ls="--"))
     axis.set_xlim(low[0] - 0.3, high[0] + 0.3)
     axis.set_ylim(low[1] - 0.3, high[1] + 0.3)
 
@@ -242,20 +245,20 @@ def _openings(axis: Any, shown: Picture) -> None:
         return
     top = max(0.5, float(np.nanmax(shown.position[:, 2], initial=0.0)))
     span = max(0.15, 0.012 * float(shown.time[-1] - shown.time[0]))
-    scene = scene_update(shown.gates, shown.obstacles, shown.level)["entities"]
-    for i, row in enumerate(shown.gates[: len(shown.gate_times) + 1]):
+    found = gate_openings(shown.entities)[: len(shown.gate_times) + 1]
+    for i, (centre, half) in enumerate(found):
         passed = i < len(shown.gate_times)
-        height = scene[i]["cubes"][0]["pose"]["position"]["z"] - BEAM_OFFSET
+        height = centre[2]
         if passed:
             when = shown.gate_times[i]
         else:
             after = shown.gate_times[-1] if shown.gate_times else -1.0
-            away = np.linalg.norm(shown.position - [row[0], row[1], height], axis=1)
+            away = np.linalg.norm(shown.position - centre, axis=1)
             away[shown.time < after] = np.inf
             when = float(shown.time[int(np.argmin(away))])
-        top = max(top, height + BEAM_OFFSET + 0.1)
+        top = max(top, height + half + 2 * BEAM_WIDTH)
         style = {"color": _GATE, "alpha": 1.0 if passed else 0.45}
-        low, high = height - _OPENING, height + _OPENING
+        low, high = height - half, height + half
         axis.fill_between([when - span, when + span], low, high, alpha=0.15, color=_GATE, lw=0)
         for bar in (low - BEAM_WIDTH, high):
             axis.fill_between([when - span, when + span], bar, bar + BEAM_WIDTH, lw=0, **style)
@@ -267,7 +270,6 @@ def _openings(axis: Any, shown: Picture) -> None:
 
 def _margins(axis: Any, shown: Picture) -> None:
     """Distance to the nearest gate, obstacle and limit over time, and the least of each named."""
-    scene = scene_update(shown.gates, shown.obstacles, shown.level)["entities"]
     finite = np.isfinite(shown.position).all(axis=1)
     time, path = shown.time[finite], shown.position[finite]
     axis.set_ylabel("to nearest [m]")
@@ -275,7 +277,7 @@ def _margins(axis: Any, shown: Picture) -> None:
     axis.axhline(VEHICLE_RADIUS, color="0.6", lw=0.8, ls=":")
     if not len(time):
         return
-    found = distances(path, scene)
+    found = distances(path, shown.entities)
     for kind, colour in (("gate", _GATE), ("obstacle", _OBSTACLE)):
         mine = {name: far for name, far in found.items() if name.startswith(kind)}
         if mine:

@@ -105,14 +105,14 @@ def _messages(file: Path) -> Iterator[_Message]:
         yield 0, "/arena", _update(_fence(level), *nominal_track(level))
     yield _ns(began), "/drone/model", _update(_drone(began))
     yield _ns(began), "/drone/path", _update(_path(position[kept], began))
-    track = next((m[2]["entities"] for m in _scenes(file)), [])
+    track: list[dict[str, Any]] = next((m[2]["entities"] for m in _scenes(file)), [])
     yield from _flight(time[kept], position[kept], turn[kept], velocity[kept], track)
     yield from _setpoints(recording, time[kept], states[kept], named)
     yield from _log(recording.events)
 
 
 def _flight(
-    time: Array, place: Array, turn: Array, velocity: Array, track: Any
+    time: Array, place: Array, turn: Array, velocity: Array, track: list[dict[str, Any]]
 ) -> Iterator[_Message]:
     speed = np.linalg.norm(velocity, axis=1)
     far = distances(place, track)

@@ -57,8 +57,7 @@ def marks(events: Iterable[Any]) -> list[Mark]:
         if name in _COURSE:
             continue
         if name == "constraint violated" and detail.startswith("rotor"):
-            over = ("constraint satisfied again", detail)
-            ends = [t for n, t, d in told_of if (n, d) == over and t >= time]
+            ends = [t for n, t, _ in told_of if n == "constraint satisfied again" and t >= time]
             if ends and min(ends) - time < _BRIEF:
                 continue
         kind = _kind(name)

@@ -100,6 +100,7 @@ class Pictures:
             states,
             gates,
             obstacles,
+            entities=recorder.first_scene.get("entities"),
             commanded_from=recorder.commanded_from,
             isolated=isolated,
         )

@@ -387,6 +387,12 @@ class Recorder:
         return self._states.rows
 
     @property
+    def first_scene(self) -> dict[str, Any]:
+        """The ``foxglove.SceneUpdate`` that the flight began in."""
+        scene: dict[str, Any] = json.loads(self._scenes[0][1])
+        return scene
+
+    @property
     def commanded_from(self) -> float:
         """When the first command went to the vehicle, s; inf if none did."""
         commands = self._commands.rows

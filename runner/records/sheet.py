@@ -81,7 +81,7 @@ def save_sheet(file: Path, level: Level, tiles: Sequence[Tile], isolated: bool =
         if len(path):
             ends.append((*path[-1], colour))
         axis.text(
-            *(corner + [0.0, high[1] - low[1]]), unmarked(f" {each.index}: {each.text}"),
+            corner[0], corner[1] + high[1] - low[1], unmarked(f" {each.index}: {each.text}"),
             color=colour, fontsize=6.5, va="bottom", clip_on=True,
         )  # fmt: skip
     axis.add_collection(PatchCollection(boxes, fc="none", ec="0.7", lw=0.6))

@@ -106,7 +106,7 @@ def _upright(at: float, style: str, told: str, bottom: int) -> str:
 
 def _pieces(line: Line) -> list[list[tuple[float, float]]]:
     """Runs of finite values."""
-    few = thinned(len(line.time)) if len(line.time) else []
+    few = thinned(len(line.time)).tolist() if len(line.time) else []
     pieces: list[list[tuple[float, float]]] = [[]]
     for i in few:
         if math.isfinite(line.value[i]):

@@ -122,7 +122,8 @@ def scene(flights: Sequence[tuple[Flown, str]]) -> str:
     """The 3-D view of flights, each in a colour of the page, around what the first flew in."""
     first = flights[0][0]
     low, high = _bounds(first)
-    solids, told = [], []
+    solids: list[dict[str, Any]] = []
+    told: list[dict[str, Any]] = []
     for entity in first.entities[:200]:
         name = str(entity.get("id", ""))
         colour = "c1" if name.startswith("gate") else "c2" if name == "goal" else "c3"
@@ -130,9 +131,10 @@ def scene(flights: Sequence[tuple[Flown, str]]) -> str:
             corners = np.round(body.corners(), 3)
             for a, b in _EDGES:
                 solids.append({"points": corners[[a, b]].tolist(), "colour": colour})
-        if name.startswith("gate") and (body := next(bodies(entity), None)) is not None:
+        top = next(bodies(entity), None)
+        if name.startswith("gate") and top is not None:
             label = name.removeprefix("gate ")
-            told.append({"point": body.centre.tolist(), "text": label, "colour": "c1"})
+            told.append({"point": top.centre.tolist(), "text": label, "colour": "c1"})
     paths = []
     for flown, colour in flights:
         few = thinned(len(flown.time), 600)

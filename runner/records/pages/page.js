@@ -12,7 +12,7 @@ for (const box of document.querySelectorAll(".scene")) {
     const x = p[0] - middle[0], y = p[1] - middle[1], z = p[2] - middle[2];
     const c = Math.cos(yaw), s = Math.sin(yaw);
     const u = c * x - s * y, v = s * x + c * y;
-    const k = zoom * Math.min(canvas.width, canvas.height * 1.3) / size;
+    const k = zoom * Math.min(canvas.width, canvas.height * 1.15) / size;
     return [canvas.width / 2 + k * u,
       canvas.height / 2 - k * (Math.sin(pitch) * v + Math.cos(pitch) * z)];
   }

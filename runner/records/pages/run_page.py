@@ -11,6 +11,7 @@ import numpy as np
 from crazyarena.bounded_read import read_json
 from crazyarena.errors import InputError
 from crazyarena.runner.records import export
+from crazyarena.runner.records.bodies import gate_openings
 from crazyarena.runner.records.compare import compare
 from crazyarena.runner.records.pages.charts import Line, chart
 from crazyarena.runner.records.pages.compare_page import comparison
@@ -152,13 +153,12 @@ def flight(flown: Flown) -> str:
 
 
 def _openings(flown: Flown) -> list[tuple[float, float, float]]:
-    """Heights of the openings of 2022's gates, at the times they were passed."""
-    if flown.level is None:
-        return []
-    found = []
-    for when, gate in zip(flown.gate_times, flown.level.track.gates, strict=False):
-        found.append((when, float(gate.centre[2]) - 0.2, float(gate.centre[2]) + 0.2))
-    return found
+    """Heights of the openings of the gates, at the times they were passed."""
+    found = gate_openings(flown.entities)
+    return [
+        (when, float(centre[2]) - half, float(centre[2]) + half)
+        for when, (centre, half) in zip(flown.gate_times, found, strict=False)
+    ]
 
 
 def _details(episode: dict[str, Any]) -> str:

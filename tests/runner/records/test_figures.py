@@ -56,7 +56,8 @@ def shown(level, events=(), **fields):
     gates = np.array([[*gate.row[:2], gate.centre[2], *gate.row[3:]] for gate in level.track.gates])
     obstacles = np.array([post.row for post in level.track.obstacles])
     result = episode(events, **fields)
-    return picture(level, result, states(), gates, obstacles, commanded_from=0.5)
+    scene = scene_update(gates, obstacles, level)["entities"]
+    return picture(level, result, states(), gates, obstacles, entities=scene, commanded_from=0.5)
 
 
 def texts(level, monkeypatch, tmp_path, what):
@@ -125,7 +126,7 @@ def test_a_rotor_that_is_slow_for_a_tick_is_no_mark_and_one_that_stays_is():
     low = "rotor 0 force below the minimum"
     start = [
         Event("constraint violated", 1, 0.002, low),
-        Event("constraint satisfied again", 5, 0.01, low),
+        Event("constraint satisfied again", 2, 0.004, ""),
     ]
     assert marks(start) == []
     assert [mark.kind for mark in marks(start[:1])] == ["violation"]
@@ -162,6 +163,20 @@ def test_the_middle_of_a_gate_is_as_far_from_it_as_its_bars_are(level):
     found = distances(gates[:1, :3], scene)
     assert list(found) == ["gate 0", "gate 1", "gate 2", "gate 3"]
     assert found["gate 0"][0] == pytest.approx(0.2)
+
+
+def test_openings_are_those_of_the_gates_that_stand_there(level):
+    from crazyarena.runner.records.bodies import gate_openings
+    from crazyarena.runner.records.lsy_scene import lsy_scene
+
+    gates = np.array([[*gate.row[:2], gate.centre[2], *gate.row[3:]] for gate in level.track.gates])
+    found = gate_openings(scene_update(gates, np.empty((0, 6)), level)["entities"])
+    assert [half for _, half in found] == pytest.approx([0.2] * 4)
+    assert np.allclose([centre for centre, _ in found], gates[:, :3])
+    other = lsy_scene(np.array([[1.0, 2.0, 0.7, 0.0, 0.0, 0.0, 1.0]]), np.empty((0, 3)))
+    ((centre, half),) = gate_openings(other["entities"])
+    assert centre == pytest.approx([1.0, 2.0, 0.7])
+    assert 0.15 < half < 0.3
 
 
 def drawn(choice, outcomes):
