@@ -187,7 +187,10 @@ def test_a_run_that_ends_drifting_close_to_the_fence_is_brought_home(tmp_path):
 
 
 @pytest.mark.parametrize("yaw", [0.0, 2.5])
-@pytest.mark.parametrize("seconds", [4.6, 4.65, 4.7])
+@pytest.mark.parametrize(
+    "seconds",
+    [4.65, *(pytest.param(s, marks=pytest.mark.slow) for s in (4.6, 4.7))],
+)
 def test_a_run_that_ends_towards_the_fence_is_brought_home(tmp_path, yaw, seconds):
     entry = tmp_path / "swing.py"
     entry.write_text(TOWARDS_THE_FENCE.format(goal=2.87, yaw=yaw))
