@@ -89,7 +89,7 @@ CASES: list[tuple[str, Action, dict[str, Any], dict[str, Any], float]] = [
     ("camera_rate", WARN, {"camera_rate": 29.0}, {"camera_rate": 31.0}, N.camera_rate_time),
     ("body_turned_far", CUT, {"turned": Turned(0.7, 0.1)}, {"turned": Turned(3.0, 0.3)}, 0.0),
     ("body_turned", WARN, {"turned": Turned(0.35, 0.03)}, {"turned": Turned(0.24, 0.01)}, 0.3),
-    ("body_turned", WARN, {"turned": Turned(-0.35, 0.03)}, {"turned": Turned(-0.35, 0.1)}, 0.3),
+    ("body_turned", WARN, {"turned": Turned(-0.35, 0.03)}, {"turned": Turned(-0.35, 0.06)}, 0.3),
     ("body_turned_far", CUT, {"turned": Turned(0.7, 0.1)}, {"turned": Turned(0.7, 0.14)}, 0.0),
     ("body_turned_far", CUT, {"turned": Turned(-3.1, 0.15)}, {"turned": Turned(0.5, 0.01)}, 0.0),
     ("yaw_apart", WARN, {"turned": Turned(yaw=0.3)}, {"turned": Turned(yaw=0.2)}, 0.0),
