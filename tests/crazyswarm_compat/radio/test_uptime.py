@@ -25,8 +25,8 @@ def test_delays_and_gaps_are_no_restart(booted, steps):
     sequence, time = [], 0.0
     for gap, delay in steps:
         time += gap
-        sequence.append((stamps(booted, [time])[0][0], time + delay))
-    sequence.sort(key=lambda one: one[1])
+        arrived = max(time + delay, sequence[-1][1] if sequence else 0.0)  # links keep the order
+        sequence.append((stamps(booted, [time])[0][0], arrived))
     assert told(sequence) == []
 
 
@@ -35,6 +35,12 @@ def test_what_waited_in_the_vehicle_is_no_restart():
     waited = [(stamp, 8.0) for stamp, _ in stamps(-30.0, [2.0 + 0.1 * k for k in range(10)])]
     after = stamps(-30.0, [8.0 + 0.1 * k for k in range(40)])
     assert told(before + waited + after) == []
+
+
+def test_a_computer_that_lags_is_no_restart():
+    lagging = [(stamp, now + 6.0) for stamp, now in stamps(-30.0, [0.1 * k for k in range(20, 90)])]
+    before, after = stamps(-30.0, [0.1 * k for k in range(20)]), stamps(-30.0, [16.0, 16.1])
+    assert told(before + lagging + after) == []
 
 
 @given(st.floats(5.0, 10_000.0), st.floats(0.5, 20.0))
