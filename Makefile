@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 # Versions that were tried together; what is not in the list is free.
 PIP    := $(BIN)/python -m pip install --disable-pip-version-check -c requirements.lock
 
-.PHONY: dry-run test slow lint types bench docs lock clean
+.PHONY: dry-run test slow lint types bench docs pictures lock clean
 
 # Set up and fly the example controller through level 0. More: make dry-run ARGS="--level level3"
 dry-run: $(VENV)/run.stamp
@@ -32,6 +32,10 @@ bench: $(VENV)/dev.stamp
 # The documentation as a site, in site/; broken links fail. Read it: make docs && open site/index.html
 docs: $(VENV)/docs.stamp
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# Make every picture of the docs anew: each script in docs/pictures makes its own.
+pictures: $(VENV)/dev.stamp
+	for p in docs/pictures/[a-z]*.py; do echo "== $$p"; $(BIN)/python $$p || exit 1; done
 
 # Debian splits venv from python3: where it is missing and we may, install it; else say how.
 $(BIN)/python:

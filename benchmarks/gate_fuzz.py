@@ -15,10 +15,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from crazyarena.runner.campaign.gate_fuzz import Outcome, draw_script, fly, shrink
 
@@ -36,7 +38,12 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--shrink", type=int, default=1, help="at most so many bad flights")
     parser.add_argument("--out", type=Path, help="a line of JSON for every flight")
+    parser.add_argument("--figure", type=Path, help="draw the flights of --out files, fly nothing")
+    parser.add_argument("files", type=Path, nargs="*", help="of --out, for --figure")
     args = parser.parse_args()
+    if args.figure is not None:
+        _draw([json.loads(line) for file in args.files for line in file.open()], args.figure)
+        return 0
     seeds = range(args.seed, args.seed + args.flights)
     begun = time.monotonic()
     outcomes = []
@@ -104,6 +111,34 @@ def _table(outcomes: list[Outcome], took: float) -> None:
             f"    seed {s.seed}: {o.excursion:+.3f} m, people {o.into_people:+.3f} m, {s.arena}, "
             f"controller {s.controller}, {s.policy}{s.options}: {o.ended[:90] or 'not taken'}"
         )
+
+
+def _draw(rows: list[dict[str, Any]], file: Path) -> None:
+    """How far out flights came, sorted, by arena and policy; and a table of the worst."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    axis = figure.add_subplot()
+    groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["arena"], row["policy"]), []).append(row)
+    print("| arena | policy | flights | worst beyond the fence, m | nearest to a people zone, m |")
+    print("|---|---|---|---|---|")
+    for (arena, policy), group in sorted(groups.items()):
+        values = sorted((float(row["excursion"]) for row in group), reverse=True)
+        shares = [100.0 * (k + 1) / len(values) for k in range(len(values))]
+        style = "-" if policy == "clamp" else "--"
+        axis.plot(values, shares, style, lw=1.2, label=f"{arena}, {policy} ({len(group)})")
+        people = max(float(row["into_people"]) for row in group)
+        near = f"{-people:.2f}" if math.isfinite(people) else ""
+        print(f"| {arena} | {policy} | {len(group)} | {values[0]:+.3f} | {near} |")
+    axis.axvline(0.0, color="black", lw=0.8)
+    axis.axvline(_ALLOWED, color="tab:red", lw=0.8)
+    axis.set(xlim=(-0.6, 0.15), yscale="log", xlabel="furthest beyond the hard fence [m]")
+    axis.set_ylabel("share of flights [%]")
+    axis.legend(fontsize=8)
+    axis.grid(alpha=0.3)
+    figure.savefig(file, dpi=110)
 
 
 if __name__ == "__main__":

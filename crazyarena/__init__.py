@@ -5,4 +5,4 @@ cross borders. The rest lives in the folders of the same name at the top of the 
 (``crazyarena.levels`` is ``levels/``, and so on).
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

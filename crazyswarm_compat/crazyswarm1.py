@@ -35,6 +35,7 @@ from crazyarena.crazyswarm_compat.core import (
 from crazyarena.crazyswarm_compat.hardware import with_uris
 from crazyarena.crazyswarm_compat.joystick import Joystick
 from crazyarena.crazyswarm_compat.options import parse, warn, with_guard_of
+from crazyarena.crazyswarm_compat.recording import record_script
 from crazyarena.crazyswarm_compat.registry import IdealState, InspectableBackend
 from crazyarena.crazyswarm_compat.timehelper import TimeHelper, WallTimeHelper, make_time_helper
 from crazyarena.crazyswarm_compat.visualizers import VisViser, open_visualizer
@@ -319,4 +320,5 @@ class Crazyswarm:
             parsed.watchdog,
             parsed.guard,
         )
+        record_script(parsed.record, self.timeHelper, self.allcfs)
         self.input = Joystick(self.timeHelper)

@@ -37,6 +37,7 @@ from crazyarena.crazyswarm_compat.crazyswarm1 import Crazyflie as Viewed
 from crazyarena.crazyswarm_compat.hardware import with_uris
 from crazyarena.crazyswarm_compat.joystick import Joystick
 from crazyarena.crazyswarm_compat.options import NO_MOCAP, parse, warn, with_guard_of
+from crazyarena.crazyswarm_compat.recording import record_script
 from crazyarena.crazyswarm_compat.ros_like import (
     NodeLike,
     Point,
@@ -310,6 +311,7 @@ class Crazyswarm:
             parsed.guard,
             server.limits,
         )
+        record_script(parsed.record, self.timeHelper, self.allcfs)
         self.input = Joystick(self.timeHelper)
 
 

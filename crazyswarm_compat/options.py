@@ -83,6 +83,12 @@ def build_argparser(
     )
     parser.add_argument("--video", metavar="PATH", help="[sim] write a film of the viewer")
     parser.add_argument(
+        "--record",
+        metavar="DIR",
+        help="write cf<id>.mcap for every vehicle and flight.png, as dry runs do (crazyarena "
+        "replay, export, compare)",
+    )
+    parser.add_argument(
         "--crazyflies-yaml", "--crazyflies_yaml", metavar="PATH", help="vehicle list to use"
     )
     parser.add_argument(

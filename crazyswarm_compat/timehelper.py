@@ -10,7 +10,7 @@ from crazyarena.clock import Clock, VirtualClock
 from crazyarena.crazyswarm_compat.csv_log import CsvLog
 from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.registry import SimOptions
-from crazyarena.crazyswarm_compat.video import VideoWriter
+from crazyarena.crazyswarm_compat.video import VideoWriter, frame_period
 from crazyarena.crazyswarm_compat.visualizers import VisNull
 from crazyarena.errors import CommandError
 
@@ -104,7 +104,7 @@ class TimeHelper:
     writecsv: write ``logcf<id>.csv`` files in the working directory.
     disturbanceSize: standard deviation of the velocity noise, m/s.
     maxVel: limit on the speed, m/s.
-    videopath: film to write, or None.
+    videopath: film to write, or None; it plays in real time.
     """
 
     def __init__(
@@ -126,7 +126,9 @@ class TimeHelper:
         self.videoWriter = None
         if videopath is not None:
             frame = vis.render()
-            self.videoWriter = VideoWriter(videopath, dt, frame.shape[:2])
+            self._frame_period = frame_period(videopath)
+            self.videoWriter = VideoWriter(videopath, self._frame_period, frame.shape[:2])
+            self._frames = 0
         self._observers: list[Any] = []
         self._after_sleep: list[Callable[[], None]] = []
         self._while_sleeping: list[Callable[[], None]] = []
@@ -190,10 +192,20 @@ class TimeHelper:
         if self.output is not None:
             self.output.add(now, self.crazyflies)
         if self.videoWriter is not None:
-            self.videoWriter.writeFrame(self.visualizer.render())
+            self._film(now + duration)
         self.clock.sleep_until(now + duration)
         for callback in self._while_sleeping:
             callback()
+
+    def _film(self, until: float) -> None:
+        """Write the frames due before ``until`` s, which all show the present."""
+        due = math.ceil(until / self._frame_period - 1e-6)
+        if due > self._frames:
+            assert self.videoWriter is not None
+            frame = self.visualizer.render()
+            for _ in range(due - self._frames):
+                self.videoWriter.writeFrame(frame)
+            self._frames = due
 
     def addObserver(self, observer: Any) -> None:
         """Call ``observer(t, crazyflies)`` (or its ``update``) before every tick."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -44,14 +46,41 @@ class VisNull:
         """Idempotent."""
 
 
+def _may_have_display() -> bool:
+    """Whether a window could be opened, as far as that is known without matplotlib."""
+    if not sys.platform.startswith("linux"):
+        return True
+    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND"))
+
+
 class VisMatplotlib(VisNull):
-    """Matplotlib window, or frames in memory where there is no display."""
+    """Matplotlib window, or frames in memory where there is no display.
+
+    Without a display nothing is drawn, nor even loaded, until somebody asks for a frame.
+    """
 
     def __init__(self, flags: Any = None) -> None:
-        # Imported here because it takes longer than many a simulation.
-        import matplotlib
+        self._figure: Any = None
+        self._axes: Any = None
+        self._points: Any = None
+        self._lines: Any = None
+        self._surfaces: list[Any] = []
+        self._edges: Edges = ()
+        self._radii: NDArray[np.float64] | None = None
+        self._crazyflies: Sequence[Any] = ()
+        self._t = 0.0
+        self._stale = True
+        self._interactive = False
+        if _may_have_display():
+            # Imported here because it takes longer than many a simulation.
+            import matplotlib
 
-        self._interactive = matplotlib.get_backend().lower() not in {"agg", "pdf", "svg", "ps"}
+            drawn_only = {"agg", "pdf", "svg", "ps"}
+            self._interactive = matplotlib.get_backend().lower() not in drawn_only
+        if self._interactive:
+            self._open()
+
+    def _open(self) -> None:
         if self._interactive:
             from matplotlib import pyplot
 
@@ -66,15 +95,6 @@ class VisMatplotlib(VisNull):
         self._axes = self._figure.add_subplot(projection="3d")
         self._axes.set(xlim=(-5, 5), ylim=(-5, 5), zlim=(0, 3))
         self._axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-        self._points: Any = None
-        self._lines: Any = None
-        self._surfaces: list[Any] = []
-        self._edges: Edges = ()
-        self._radii: NDArray[np.float64] | None = None
-        self._positions: NDArray[np.float64] = np.empty((0, 3))
-        self._colors: list[Any] = []
-        self._t = 0.0
-        self._stale = True
 
     def setGraph(self, edges: Edges) -> None:
         self._edges = list(edges)
@@ -84,8 +104,7 @@ class VisMatplotlib(VisNull):
 
     def update(self, t: float, crazyflies: Sequence[Any]) -> None:
         self._t = t
-        self._positions = np.array([cf.position() for cf in crazyflies]).reshape(-1, 3)
-        self._colors = [cf.ledRGB for cf in crazyflies]
+        self._crazyflies = crazyflies
         self._stale = True
         if self._interactive:
             self._draw()
@@ -95,19 +114,21 @@ class VisMatplotlib(VisNull):
     def _draw(self) -> None:
         from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-        x, y, z = self._positions.T
+        positions = np.array([cf.position() for cf in self._crazyflies]).reshape(-1, 3)
+        colors = [cf.ledRGB for cf in self._crazyflies]
+        x, y, z = positions.T
         if self._points is None or len(self._points.get_offsets()) != len(x):
             if self._points is not None:
                 self._points.remove()
-            self._points = self._axes.scatter(x, y, z, c=self._colors or None)
+            self._points = self._axes.scatter(x, y, z, c=colors or None)
         else:
             self._points._offsets3d = (x, y, z)
-            self._points.set_color(self._colors)
+            self._points.set_color(colors)
         if self._lines is not None:
             self._lines.remove()
             self._lines = None
         if self._edges:
-            segments = [self._positions[[a, b]] for a, b in self._edges]
+            segments = [positions[[a, b]] for a, b in self._edges]
             self._lines = self._axes.add_collection3d(Line3DCollection(segments, colors="k"))
         for surface in self._surfaces:
             surface.remove()
@@ -115,13 +136,15 @@ class VisMatplotlib(VisNull):
         if self._radii is not None:
             u, v = np.mgrid[0 : 2 * np.pi : 12j, 0 : np.pi : 8j]
             sphere = np.array([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
-            for center in self._positions:
+            for center in positions:
                 sx, sy, sz = center[:, None, None] + self._radii[:, None, None] * sphere
                 self._surfaces.append(self._axes.plot_surface(sx, sy, sz, alpha=0.3))
         self._axes.set_title(f"t = {self._t:.2f} s")
         self._stale = False
 
     def render(self) -> NDArray[np.uint8]:
+        if self._figure is None:
+            self._open()
         if self._stale:
             self._draw()
         canvas: Any = self._figure.canvas

@@ -181,7 +181,8 @@ def recording() -> str:
         "One MCAP file an episode (<https://mcap.dev>), uncompressed, with an index. Log time is "
         "that of the episode in ns. The metadata record `crazyarena` says what was flown: level "
         "file, seed, submission's SHA-256, start, gates and obstacles as they truly stood; `verbs` "
-        "names the numbers in `/command`.",
+        "names the numbers in `/command`. Its entry `crazyarena` is the first version that wrote "
+        "recordings like this; which one did is in `result.json`.",
         "",
         "`crazyarena export RUN --csv` or `--npz` makes tables of it. During the flight it is a "
         "`….mcap.part`, which has no index yet and can be read as far as it goes.",

@@ -10,7 +10,7 @@ stream runs on from episode to episode.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -119,6 +119,23 @@ class LevelRandom:
         for array in (start, inertia, gates, nominal, obstacles):
             array.flags.writeable = False
         return Draw(start, float(vehicle[0]), inertia, gates, nominal, obstacles, self._noise)
+
+
+class SeparateDraws:
+    """Worlds of consecutive episodes, each from a seed of its own: what was flown before has no
+    part in the next one, so that they are the same for everybody.
+
+    Raises
+    ------
+    InputError: a seed is negative.
+    """
+
+    def __init__(self, level: Level, seeds: Sequence[int]) -> None:
+        self._random = iter([LevelRandom(level, seed) for seed in seeds])
+
+    def reset(self) -> Draw:
+        """Begin the next episode; raises StopIteration after the last one."""
+        return next(self._random).reset()
 
 
 def make_generator(kind: RngKind, seed: int) -> AnyGenerator:

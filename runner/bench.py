@@ -99,7 +99,7 @@ class Bench:
         dry: bool = True,
         options: FlightOptions | None = None,
         real_time: bool = True,
-        figure: bool = True,
+        figure: bool | str = True,
         console: Console | None = None,
         stops: StopOptions | None = None,
         waive: Sequence[str] = (),

@@ -7,29 +7,29 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from crazyarena.errors import InputError, StorageError
 from crazyarena.levels.draw import Draw
-from crazyarena.levels.schema import Profile
+from crazyarena.levels.schema import Level, Profile
 from crazyarena.plain_text import shown, shown_line
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.in_process import InProcess
 from crazyarena.runner.contestant.shipped import example_racer
 from crazyarena.runner.judging.result import EpisodeResult, TrialResult
 from crazyarena.runner.records.outcome_table import table
+from crazyarena.runner.records.pictures import Figures, Pictures
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.records.report import NOT_ISOLATED, result_document
 from crazyarena.runner.records.run_folder import ResultFile, run_folder
 from crazyarena.runner.trial.control_loop import Deadlines
 from crazyarena.runner.trial.entry import enter
+from crazyarena.runner.trial.make_world import make_world
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.trial.staging import Staging
 from crazyarena.runner.trial.trial import Trial
 from crazyarena.runner.trial.world import World
-from crazyarena.runner.trial.worlds import make_world
 from crazyarena.runner.warm_up import compile_missing, parts_of
 from crazyarena.viewer_process import View, ViewOptions
 
@@ -74,18 +74,20 @@ class DryRun:
     cameras: of an arena, instead of the usual ones. deck: on the vehicle, instead of cameras.
     view: show it in the browser; pace: times real time that it then flies at, 0 for as fast as it
         goes.
+    seeds: one for each episode, which are then as many; ``level`` may then be a loaded one.
+    on_episode: told of every episode's result, recorder and track, whatever is kept of it.
     """
 
     def __init__(
         self,
         submission: Path | None,
-        level: str,
+        level: str | Level,
         overrides: Sequence[str] = (),
         episodes: int | None = None,
         seed: int | None = None,
         out: Path | None = None,
         record: bool = True,
-        figure: bool = True,
+        figure: Figures | bool | str = True,
         console: Console | None = None,
         options: FlightOptions | None = None,
         noise_seed: int | None = None,
@@ -95,9 +97,12 @@ class DryRun:
         deck: str | None = None,
         view: View | ViewOptions | None = None,
         pace: float = 1.0,
+        seeds: Sequence[int] | None = None,
+        on_episode: Callable[[EpisodeResult, Recorder | None, Track], None] | None = None,
     ) -> None:
         self._deck = deck
         self._cameras = cameras
+        self._on_episode = on_episode
         self._wanted_view = view
         self._view: View | None = None
         self._pace = pace
@@ -111,14 +116,18 @@ class DryRun:
         self._options.check()
         self.entry.check(self._options)
         self._noise_seed = noise_seed
+        self._seeds = None if seeds is None else tuple(seeds)
+        if self._seeds:
+            seed, episodes = self._seeds[0], len(self._seeds)
         self._seed = self._options.seed(seed, self._level)
         self._path = self.entry.path
         self._episodes = self._level.num_episodes if episodes is None else episodes
         self._wanted_out = out
         self._record = record
-        self._figure = figure
+        self._pictures = Pictures(
+            Figures.of(figure), self._episodes, self._level, not self._controlled
+        )
         self._console = console if console is not None else Console()
-        self._drawings: list[tuple[Any, ...]] = []
         self._preflight: FlightChecklist | None = None
 
     @property
@@ -167,6 +176,7 @@ class DryRun:
         try:
             return self._run()
         except BaseException:
+            self._pictures.close()
             if self._view is not None and self._view is not self._wanted_view:
                 self._view.close()
             raise
@@ -188,6 +198,7 @@ class DryRun:
         try:
             with contextlib.ExitStack() as stack:
                 stack.callback(world.close)
+                self._pictures.begin()
                 self._open_show(world, stack)
                 contestant = self._contestant()
                 stack.callback(contestant.close)
@@ -195,6 +206,8 @@ class DryRun:
                 origin |= self.entry.provenance(self._seed, contestant.digest)
                 origin["contestant"] = contestant.description
                 self._flown.isolated = bool(contestant.description["isolated"])
+                if self._seeds:
+                    origin["seeds"] = list(self._seeds)
                 progress = stack.enter_context(self._progress())
                 display = _Display(progress, level.episode_length, self._episodes)
                 result = self._fly(world, contestant, display, origin, stack)
@@ -221,6 +234,7 @@ class DryRun:
 
     def _report(self, result: TrialResult) -> None:
         console, origin = self._console, self._origin
+        self._look_again(result)
         document = result_document(result, origin)
         try:
             self._results.finish(document)
@@ -274,6 +288,17 @@ class DryRun:
         if not self._controlled:
             self._view.await_browser()
 
+    def _look_again(self, result: TrialResult) -> None:
+        """Where the contestant could write the result, ask its recordings."""
+        recorded = [episode for episode in result.episodes if "recording" in episode.files]
+        claims = any(episode.completed for episode in recorded)
+        if result.isolated or not claims or self._level.profile is not Profile.COMPETITION:
+            return
+        from crazyarena.runner.records.second_look import look_again
+
+        for doubt in look_again(self._level, self.out, recorded):
+            self._print(doubt, "red")
+
     def _print(self, text: str, style: str | None = None) -> None:
         self._console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
@@ -306,7 +331,7 @@ class DryRun:
         sandboxed = options.sandboxed(self._level)
         contestant = self.entry.contestant(options, self.out / "work", sandboxed)
         if sandboxed:
-            from crazyarena.runner.contestant.sandbox.announce import announcement
+            from crazyarena.runner.contestant.sandbox.announcement import announcement
 
             self._print(announcement(contestant.description))
         return contestant
@@ -322,8 +347,9 @@ class DryRun:
         common: dict[str, Any] = {
             "episodes": self._episodes,
             "seed": self._seed,
+            "seeds": self._seeds,
             "out": self.out if self._record else None,
-            "keep_states": self._figure,
+            "keep_states": self._pictures.wanted or self._on_episode is not None,
             "on_step": display,
             "on_episode": self._keep,
             "show": self._show,
@@ -445,29 +471,24 @@ class DryRun:
 
     def _keep(self, result: EpisodeResult, recorder: Recorder | None, track: Track) -> None:
         """After every episode: whatever ends the run later, this one was flown."""
-        if self._figure and recorder is not None:
-            states = np.array(recorder.states)
+        if self._on_episode is not None:
+            self._on_episode(result, recorder, track)
+        if self._pictures.wanted and recorder is not None:
             gates = self.entry.drawn(track.gates)
-            self._drawings.append((result, states, gates, track.obstacles))
+            isolated = self._flown.isolated
+            self._pictures.add(self.out, result, recorder, gates, track.obstacles, isolated)
         self._flown.episodes.append(result)
         document = result_document(self._flown, self._origin, finished=False)
         self._results.add(result.as_dict(), document)
 
     def _draw_figures(self, result: TrialResult) -> bool:
-        """Matplotlib is slow to import, so it comes last; whether there is any figure."""
-        if not self._drawings:
-            return False
-        from crazyarena.runner.records.figure import save_figure
-
-        for episode, states, gates, obstacles in self._drawings:
-            file = self.out / f"episode_{episode.index:03d}.png"
-            try:
-                save_figure(
-                    file, self._level, episode, states, gates, obstacles, isolated=result.isolated
-                )
-            except StorageError as error:
-                result.cut_short = result.cut_short or str(error)
-                return False
-            episode.files["figure"] = file.name
+        """Wait for the pictures; whether there is any."""
+        drawn = self._pictures.finish(self.out, result.isolated)
+        for reason in self._pictures.refused[:1]:
+            result.cut_short = result.cut_short or reason
+        told = drawn if len(drawn) <= 3 else [drawn[0], drawn[-1]]
+        for file in told:
             self._print(f"Figure: {shown_line(str(file))}")
-        return True
+        if len(told) < len(drawn):
+            self._print(f"... and {len(drawn) - len(told)} more figures there")
+        return bool(drawn)

@@ -103,9 +103,9 @@ class Fly(DryRun):
             uri=self._uri,
             out=self.out,
             say=lambda text: self._tell(Phase.PREFLIGHT, text),
-            landmarks=None if site is None else site.landmarks,
             vehicle=self.model,
             surveyed=self._surveyed,
+            landmarks=None if site is None else site.landmarks,
         )
         crew = Crew(
             world.rig,

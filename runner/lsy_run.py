@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import datetime
 import json
+import math
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,13 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from crazyarena import __version__
 from crazyarena.clock import WallClock
 from crazyarena.errors import InputError
 from crazyarena.levels.lsy import LsyLevel, load_lsy_level
 from crazyarena.levels.lsy.draw import LsyDraw, LsyRandom, fresh_seed, refuse_short_keys
 from crazyarena.levels.lsy.schema import LsyProfile
 from crazyarena.plain_text import shown, shown_line
+from crazyarena.runner.contestant.compute import Budget
 from crazyarena.runner.contestant.contract_lsy.dialogue import LsyContestant
 from crazyarena.runner.contestant.contract_lsy.pilot import LsyInProcess
 from crazyarena.runner.contestant.contract_lsy.submission import (
@@ -31,10 +32,14 @@ from crazyarena.runner.contestant.contract_lsy.submission import (
 )
 from crazyarena.runner.contestant.prints import PrintsShown
 from crazyarena.runner.judging.lsy_rules import LsyReferee
-from crazyarena.runner.judging.result import CONTROLLER_ERROR, INTERRUPTED
+from crazyarena.runner.judging.result import (
+    CONTROLLER_ERROR,
+    CONTROLLER_TIMEOUT,
+    INTERRUPTED,
+)
 from crazyarena.runner.records.lsy_scene import lsy_scene
 from crazyarena.runner.records.outcome_table import computing
-from crazyarena.runner.records.recorder import Recorder
+from crazyarena.runner.records.recorder import SINCE, Recorder
 from crazyarena.runner.records.report import machine, versions
 from crazyarena.runner.records.run_folder import ResultFile, run_folder
 from crazyarena.runner.trial.lsy_episode import COMMAND_LAYOUT, LsyEpisode, LsyEpisodeResult
@@ -43,6 +48,7 @@ from crazyarena.runner.warm_up import compile_missing
 from crazyarena.sim_backend.successor import SuccessorWorld, nominal
 
 FORMAT = 1
+_ENDS_RUN = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT, INTERRUPTED)
 DEFAULT_LEVEL = "lsy/level2"
 ENOUGH = 0.5
 """Share of successful runs below which an evaluation fails."""
@@ -91,6 +97,9 @@ class LsyRun:
     out: results folder, or None for none at all, unless ``keep``: then a new one under ``runs/``.
     record: write an MCAP file an episode into it.
     sandbox: run the controller in a process of its own; require: refuse to without full walls.
+    seeds: one for each episode, which are then as many, and as large as one likes.
+    parameters: told to a sandboxed controller, see :class:`.Sandboxed`; budget: its wall time.
+    on_episode: told of every episode's result, recorder and draw, whatever is kept of it.
 
     Raises
     ------
@@ -100,7 +109,7 @@ class LsyRun:
     def __init__(
         self,
         submission: Path,
-        level: str = DEFAULT_LEVEL,
+        level: str | LsyLevel = DEFAULT_LEVEL,
         overrides: Sequence[str] = (),
         *,
         episodes: int = 1,
@@ -112,12 +121,20 @@ class LsyRun:
         sandbox: bool = False,
         require_sandbox: bool = False,
         console: Console | None = None,
+        seeds: Sequence[int] | None = None,
+        parameters: Mapping[str, object] | None = None,
+        budget: Budget | None = None,
+        on_episode: Callable[[LsyEpisodeResult, Recorder | None, LsyDraw], None] | None = None,
     ) -> None:
-        self.level: LsyLevel = load_lsy_level(level, overrides)
+        self._parameters = parameters
+        self._budget = budget
+        self._on_episode = on_episode
+        self._seeds = None if seeds is None else tuple(seeds)
+        self.level = level if isinstance(level, LsyLevel) else load_lsy_level(level, overrides)
         if self.level.profile is LsyProfile.ARENA:
             raise InputError(
-                f"level {level}: profile arena is flown by crazyarena dry-run, bench and fly; an "
-                "evaluation is one in lsy_drone_racing's own simulation"
+                f"level {self.level.name}: profile arena is flown by crazyarena dry-run, bench "
+                "and fly; an evaluation is one in lsy_drone_racing's own simulation"
             )
         path = submission.expanduser()
         if not path.exists():
@@ -126,11 +143,13 @@ class LsyRun:
         if file is None:
             raise InputError(
                 f"{path}: no class here derives from lsy_drone_racing.control.Controller, which "
-                f"level {level} needs. Pass the file of such a controller"
+                f"level {self.level.name} needs. Pass the file of such a controller"
             )
         self._file = file.resolve()
         self.seed = self._settled(seed, secret)
         self._episodes = episodes
+        if self._seeds:
+            self.seed, self._episodes = self._seeds[0], len(self._seeds)
         self.out = out
         self._keep = keep
         self._path = path
@@ -159,7 +178,11 @@ class LsyRun:
             console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
         compile_missing(("successor",), console)
         world = SuccessorWorld(level)
-        random = LsyRandom(level, nominal(level), self.seed)
+        model = nominal(level)
+        if self._seeds is None:
+            randoms = [LsyRandom(level, model, self.seed)] * self._episodes
+        else:
+            randoms = [LsyRandom(level, model, seed) for seed in self._seeds]
         referee = LsyReferee(level)
         outcome = LsyResult([], self._episodes, self.seed)
         if self.out is not None or self._keep:
@@ -173,14 +196,14 @@ class LsyRun:
                 if not self._sandbox:
                     stack.callback(PrintsShown(lambda: True).close)
                 stack.enter_context(_terminable())
-                for index in range(self._episodes):
+                for index, random in enumerate(randoms):
                     result = self._episode(index, contestant, world, referee, random.reset())
                     outcome.episodes.append(result)
                     outcome.cut_short = self._cut_short
                     if self._file_of_results is not None:
                         document = self._document(outcome, contestant, False)
                         self._file_of_results.add(asdict(result), document)
-                    if outcome.cut_short or result.termination in (CONTROLLER_ERROR, INTERRUPTED):
+                    if outcome.cut_short or result.termination in _ENDS_RUN:
                         break
         except BaseException:
             if not outcome.episodes and self._file_of_results is not None:
@@ -197,7 +220,13 @@ class LsyRun:
         if self._sandbox:
             from crazyarena.runner.contestant.sandbox.lsy import LsySandboxed
 
-            sandboxed = LsySandboxed(self._file, model, require=self._require)
+            sandboxed = LsySandboxed(
+                self._file,
+                model,
+                require=self._require,
+                parameters=self._parameters,
+                patience=None if self._budget is None else self._budget.step,
+            )
             self._console.print(sandboxed.announcement, highlight=False, soft_wrap=True)
             return sandboxed
         work = self._file.parent if self.out is None else self.out / "work"
@@ -213,9 +242,18 @@ class LsyRun:
         referee: LsyReferee,
         draw: LsyDraw,
     ) -> LsyEpisodeResult:
-        recorder = self._recorder(index, draw) if self._record and self.out is not None else None
+        kept = self._record and self.out is not None
+        recorder = self._recorder(index, draw) if kept or self._on_episode is not None else None
         try:
-            episode = LsyEpisode(index, self.level, contestant, world, referee, recorder=recorder)
+            episode = LsyEpisode(
+                index,
+                self.level,
+                contestant,
+                world,
+                referee,
+                recorder=recorder,
+                most=math.inf if self._budget is None else self._budget.episode,
+            )
             result = episode.fly(draw)
         finally:
             if recorder is not None:
@@ -223,16 +261,17 @@ class LsyRun:
         if recorder is not None and recorder.file is not None:
             self._cut_short = recorder.trouble
             result.files["recording"] = recorder.file.name
+        if self._on_episode is not None:
+            self._on_episode(result, recorder, draw)
         return result
 
     def _recorder(self, index: int, draw: LsyDraw) -> Recorder:
-        assert self.out is not None
         metadata = {
-            "crazyarena": __version__,
+            "crazyarena": SINCE,
             "level": self.level.name,
             "level_file": json.dumps(self.level.config),
             "rng": str(self.level.rng.value),
-            "seed": str(self.seed),
+            "seed": str(self.seed if self._seeds is None else self._seeds[index]),
             "episode": str(index),
             "submission_sha256": controller_hash(self._file),
             "command_layout": COMMAND_LAYOUT[self.level.env.control_mode],
@@ -243,7 +282,10 @@ class LsyRun:
             "obstacles": json.dumps(draw.obstacles.tolist()),
         }
         scene = lsy_scene(draw.gates, draw.obstacles)
-        return Recorder(self.out / f"episode_{index:03d}.mcap", metadata, scene, WallClock())
+        file = None
+        if self._record and self.out is not None:
+            file = self.out / f"episode_{index:03d}.mcap"
+        return Recorder(file, metadata, scene, WallClock())
 
     def _document(
         self, result: LsyResult, contestant: LsyContestant | None, finished: bool
@@ -264,6 +306,7 @@ class LsyRun:
                 "profile": "successor",
                 "rng": self.level.rng.value,
                 "seed": self.seed,
+                **({"seeds": list(self._seeds)} if self._seeds else {}),
                 "submission": str(self._file),
                 "submission_sha256": contestant.digest if contestant is not None else None,
                 "contestant": contestant.description if contestant is not None else None,
@@ -320,7 +363,7 @@ def lsy_table(result: LsyResult) -> Any:
     for e in result.episodes:
         style = "green" if e.success else "red"
         view.add_row(
-            str(e.index + 1),
+            str(e.index),
             f"[{style}]{escape(shown_line(e.termination))}[/{style}]",
             f"{e.time:.2f}",
             f"{e.gates_passed}/{e.gates}",
@@ -334,7 +377,7 @@ def tell(result: LsyResult, console: Console) -> None:
     console.print(lsy_table(result))
     for episode in result.episodes:
         for note in episode.notes:
-            text = shown(f"episode {episode.index + 1}: {note}")
+            text = shown(f"episode {episode.index}: {note}")
             console.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
     if result.error is not None:
         console.print(

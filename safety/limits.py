@@ -148,10 +148,10 @@ class Limits:
     command_burst: float = 60.0
     link_loss_margin: float = 0.05
     link_delay: float = 0.05
+    vehicle: FlightModel = field(default_factory=FlightModel)
     thrust_to_weight: float = 2.0
     attitude_reaction: float = 0.2
     attitude_loss_margin: float = 2.0
-    vehicle: FlightModel = field(default_factory=FlightModel)
 
     def __post_init__(self) -> None:
         for name in LIMIT_NAMES:

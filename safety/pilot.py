@@ -26,6 +26,8 @@ _TOUCHDOWN = 0.06  # m above where it stood: counts as down
 _STILL = 0.25  # m/s
 _REST_TIME = 0.3  # s of touching down until the motors are stopped
 _UPWARDS = 2.5  # m/s2, with which a climb is braked
+# m/s2, without poses: a sharp tilt excites slow rotors, and nothing steadies what comes of it.
+_BLIND_BRAKING = 3.0
 _AGILITY = 25.0  # m/s2, more than a vehicle has
 _BRIDGE = 0.2  # s without a position, after which any velocity is believed again
 _STOP_TIME = 0.5  # s for which the stop is repeated
@@ -126,7 +128,10 @@ class SafePilot:
             self._place = self._target = obs.setpoint or (0.0, 0.0, self.ground + 0.5)
             return
         velocity = self._velocity
-        stop = math.hypot(*velocity) / self._limits.braking
+        braking = self._limits.braking
+        if obs.pose_age > self._limits.pose_hold:
+            braking = min(braking, _BLIND_BRAKING)
+        stop = math.hypot(*velocity) / braking
         # A climb is braked gently: rotors that stand still cannot steer.
         times = (stop, stop, max(stop, velocity[2] / _UPWARDS))
         self._brake = (position, velocity, times)

@@ -83,10 +83,14 @@ def pytest_configure(config: pytest.Config) -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of the files above, and give all that are marked so two more tries."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark the tests of the files above, and give all that are marked so two more tries.
+
+    With ``-p no:rerunfailures`` they get none, which shows who needs them.
+    """
+    retried = config.pluginmanager.hasplugin("rerunfailures")
     for item in items:
         if _is_realtime(item.nodeid):
             item.add_marker(pytest.mark.realtime)
-        if item.get_closest_marker("realtime"):
+        if retried and item.get_closest_marker("realtime"):
             item.add_marker(pytest.mark.flaky(reruns=2))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from setuptools import find_namespace_packages
 
+from crazyarena import __version__
 from crazyarena.runner.contestant.shipped import STARTERS
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -52,6 +53,13 @@ def test_the_wheel_holds_the_whole_of_what_new_copies():
             if f.is_file() and not any(fnmatch.fnmatch(f.name, pattern) for pattern in patterns)
         ]
         assert not left_out
+
+
+def test_the_version_is_one():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["version"] == __version__
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"\n## {__version__}" in (ROOT / "CHANGELOG.md").read_text()
 
 
 def test_each_folder_is_followed_from_the_package():

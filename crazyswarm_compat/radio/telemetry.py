@@ -15,6 +15,7 @@ from cflib.utils.encoding import decompress_quaternion
 
 from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat.radio.uptime import Uptime
+from crazyarena.crazyswarm_compat.radio.vehicle_time import VehicleTime
 from crazyarena.types import Telemetry, Vector, VehicleState
 
 _LOG = logging.getLogger(__name__)
@@ -187,6 +188,7 @@ class TelemetryReader:
         self._blocks: list[Block] = []
         self._divisor = 1
         self._last = Telemetry(timestamp=-math.inf)
+        self._time = VehicleTime()
         self._omega: Vector = np.zeros(3)
 
     @property
@@ -314,14 +316,15 @@ class TelemetryReader:
         if self._uptime.restarted(stamp, self._clock.now()):
             self.on_restart()
 
-    def _turn(self, values: Mapping[str, float], _: int) -> None:
+    def _turn(self, values: Mapping[str, float], stamp: int) -> None:
         roll, pitch, yaw = (1e-3 * values[f"stateEstimateZ.{name}"] for name in _RATES)
         # The firmware logs the pitch rate in its legacy sign.
         self._omega = np.array([roll, -pitch, yaw])
         state = self._last.state
         if state is not None:
             turned = replace(state, angular_velocity=self._omega)
-            self._update(rates_at=self._clock.now(), state=turned)
+            made = self._time.made_at(stamp, self._clock.now())
+            self._update(rates_at=made, state=turned)
 
 
 def _period_ms(rate: float) -> int:

@@ -19,6 +19,7 @@ from crazyarena.runner.cli.common import (
     Overrides,
     bad_input_exits,
 )
+from crazyarena.runner.cli.options.figure import figure_choice
 from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import OPTION_HELP
@@ -55,7 +56,13 @@ def register(app: typer.Typer) -> None:
     app.command("bench")(bench)
 
 
-@takes(vehicle=vehicle_choice, options=flight_options, stops=flight_stops, view=view_options)
+@takes(
+    figure=figure_choice,
+    vehicle=vehicle_choice,
+    options=flight_options,
+    stops=flight_stops,
+    view=view_options,
+)
 def bench(
     submission: AnySubmission = None,
     level: ArenaLevel = None,
@@ -83,13 +90,13 @@ def bench(
         list[str] | None, typer.Option(metavar="KEY=VALUE", help=OPTION_HELP)
     ] = None,
     *,
+    figure: str,
     vehicle: VehicleChoice,
     vehicle_spread: VehicleSpread = None,
     options: FlightOptions,
     real_time: Annotated[
         bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
     ] = True,
-    figure: Annotated[bool, typer.Option(help="Write figures.")] = True,
     waive: Waive = None,
     stops: Callable[[str], StopOptions],
     view: Callable[[], ViewOptions | None],
@@ -141,10 +148,12 @@ def bench(
         result = run.run()
         if result.comparison is not None:
             console.print(comparing.table(result.comparison))
-            summary = {**result.comparison.summary(), "arenas": result.arenas}
+            summary = {**result.comparison.document(), "arenas": result.arenas}
             write_whole(folder / "compare.json", json.dumps(summary, indent=2) + "\n")
-            if figure:
-                comparing.save_figure(folder / "compare.png", result.comparison)
+            if figure != "none":
+                from crazyarena.runner.records.compare_figure import save_figure
+
+                save_figure(folder / "compare.png", result.comparison)
                 console.print(f"Figure: {folder / 'compare.png'}", highlight=False, soft_wrap=True)
         for reason in (result.uncompared, result.aborted):
             if reason is not None:

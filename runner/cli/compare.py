@@ -29,6 +29,10 @@ def compare(
         Path | None, typer.Option(help="Folder for compare.png and compare.json.")
     ] = None,
     figure: Annotated[bool, typer.Option(help="Write compare.png.")] = True,
+    different_levels: Annotated[
+        bool,
+        typer.Option("--different-levels", help="Compare even flights of different levels."),
+    ] = False,
 ) -> None:
     """Compare flights, e.g. simulated with real ones: crazyarena compare sim1 sim2 vs real1 real2.
 
@@ -54,15 +58,17 @@ def compare(
         if not (groups[0] and groups[1]):
             raise InputError("compare: a group is empty; name runs before and after 'vs'")
         names = (_name(groups[0]), _name(groups[1]))
-        result = comparing.compare(groups[0], groups[1], names)
+        result = comparing.compare(groups[0], groups[1], names, different_levels)
         console = Console()
         console.print(comparing.table(result))
         console.print(result.advice(), highlight=False, markup=False, soft_wrap=True)
         folder = out if out is not None else Path.cwd()
         folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / "compare.json", json.dumps(result.summary(), indent=2) + "\n")
+        write_whole(folder / "compare.json", json.dumps(result.document(), indent=2) + "\n")
         if figure:
-            comparing.save_figure(folder / "compare.png", result)
+            from crazyarena.runner.records.compare_figure import save_figure
+
+            save_figure(folder / "compare.png", result)
             console.print(f"Figure: {folder / 'compare.png'}", highlight=False, soft_wrap=True)
 
 

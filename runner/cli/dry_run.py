@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -15,12 +15,15 @@ from crazyarena.runner.cli.common import (
     Secret,
     bad_input_exits,
 )
+from crazyarena.runner.cli.options.figure import figure_choice
 from crazyarena.runner.cli.options.flight import Sandbox, flight_options
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 from crazyarena.runner.cli.options.view import view_options
 
 if TYPE_CHECKING:
+    from crazyarena.levels.draw_file import LoadedDraw
+    from crazyarena.levels.schema import Level
     from crazyarena.runner.trial.options import FlightOptions
     from crazyarena.sim_backend.vehicles import VehicleChoice
     from crazyarena.viewer_process import ViewOptions
@@ -30,7 +33,7 @@ def register(app: typer.Typer) -> None:
     app.command("dry-run")(dry_run)
 
 
-@takes(vehicle=vehicle_choice, options=flight_options, view=view_options)
+@takes(figure=figure_choice, vehicle=vehicle_choice, options=flight_options, view=view_options)
 def dry_run(
     submission: Annotated[
         Path | None,
@@ -51,6 +54,13 @@ def dry_run(
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Replaces the level's seed.")] = None,
     secret: Secret = False,
+    draw: Annotated[
+        Path | None,
+        typer.Option(
+            help="Fly what a draw file says: its level, in the worlds of its seeds (of a "
+            "tournament's results)."
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Results folder. Default: a new one under runs/.")
     ] = None,
@@ -59,8 +69,8 @@ def dry_run(
         typer.Option("--set", metavar="FIELD=VALUE", help="Override a field of the level."),
     ] = None,
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode.")] = True,
-    figure: Annotated[bool, typer.Option(help="Write a PNG an episode.")] = True,
     *,
+    figure: str,
     vehicle: VehicleChoice,
     vehicle_spread: VehicleSpread = None,
     options: FlightOptions,
@@ -97,14 +107,22 @@ def dry_run(
             if show(submission, level or "sim2real", set_ or [], seed, out, options, vehicle):
                 return
             raise typer.Exit(EXIT_NOT_CLEAN)
-        if _flew_lsy(submission, level, episodes, seed, out, set_ or [], record, options, view()):
+        drawn = None
+        if draw is not None:
+            given = (level, seed, episodes, set_ or None, options.secret or None)
+            drawn, options = _drawn(draw, given, options)
+        if _flew_lsy(
+            submission, level, episodes, seed, out, set_ or [], record, options, view(), drawn
+        ):
             return
         from crazyarena.runner.dry_run import DryRun
         from crazyarena.runner.trial.entry import default_level
 
         run = DryRun(
             submission=submission,
-            level=level or default_level(submission),
+            level=level or default_level(submission)
+            if drawn is None
+            else cast("Level", drawn.level),
             overrides=set_ or [],
             episodes=episodes,
             seed=seed,
@@ -116,10 +134,29 @@ def dry_run(
             spread=vehicle_spread,
             view=view(),
             pace=view_speed if view() else 0.0,
+            seeds=None if drawn is None else drawn.seeds,
         )
         result = run.run()
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)
+
+
+def _drawn(
+    path: Path, given: tuple[object, ...], options: FlightOptions
+) -> tuple[LoadedDraw, FlightOptions]:
+    """A draw file, and the options with what it says of thinking."""
+    from crazyarena.errors import InputError
+    from crazyarena.levels.draw_file import read_draw
+
+    names = ("--level", "--seed", "--episodes", "--set", "--secret")
+    for name, value in zip(names, given, strict=True):
+        if value is not None:
+            raise InputError(f"--draw and {name} exclude each other: the draw file says it")
+    drawn = read_draw(path)
+    if options.compute is None:
+        options = replace(options, compute=drawn.file.compute)
+    options.check()
+    return drawn, options
 
 
 def _flew_lsy(
@@ -132,19 +169,24 @@ def _flew_lsy(
     record: bool,
     options: FlightOptions,
     view: ViewOptions | None,
+    drawn: LoadedDraw | None = None,
 ) -> bool:
     """Fly a controller of lsy_drone_racing, told by its file; False if this is none."""
-    looks_like = submission is not None or (level or "").endswith(".toml")
+    looks_like = submission is not None or drawn is not None or (level or "").endswith(".toml")
     if not looks_like and not (level or "").startswith("lsy/"):
         return False
     from crazyarena.errors import InputError, StorageError
-    from crazyarena.levels.lsy import is_lsy_level
+    from crazyarena.levels.lsy import LsyLevel, is_lsy_level
 
     foreign = level is not None and is_lsy_level(level)
+    if drawn is not None:
+        foreign = isinstance(drawn.level, LsyLevel)
+        level = drawn.level.name
     if not foreign:
         from crazyarena.runner.contestant.contract_lsy.submission import find_controller
 
-        assert submission is not None
+        if submission is None:
+            return False
         file = find_controller(submission.expanduser())
         if file is None:
             return False
@@ -189,24 +231,25 @@ def _flew_lsy(
     console = Console()
     run = LsyRun(
         submission,
-        level or "lsy/level0",
+        drawn.level if drawn is not None else level or "lsy/level0",  # type: ignore[arg-type]
         overrides,
         episodes=episodes or 1,
         seed=seed,
-        secret=options.secret,
         out=out,
         keep=True,
+        secret=options.secret,
         record=record,
         sandbox=bool(options.sandbox) or options.require_sandbox,
         require_sandbox=options.require_sandbox,
         console=console,
+        seeds=None if drawn is None else drawn.seeds,
     )
     result = run.run()
     tell(result, console)
     if not run.isolated:
         console.print(NOT_ISOLATED, markup=False, highlight=False, soft_wrap=True)
-    where = shown_line(str(run.out))
     told = "The seed is secret" if options.secret else f"Seed {result.seed}"
+    where = shown_line(str(run.out))
     console.print(f"{told}. Results in {where}", highlight=False, markup=False, soft_wrap=True)
     if result.cut_short is not None:
         raise StorageError(result.cut_short)

@@ -19,6 +19,7 @@ from crazyarena.runner.cli.common import (
     Seed,
     bad_input_exits,
 )
+from crazyarena.runner.cli.options.figure import figure_choice
 from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import HOST_HELP, OPTION_HELP, SOURCE_HELP
@@ -43,7 +44,7 @@ def register(app: typer.Typer) -> None:
     app.command("fly")(fly)
 
 
-@takes(options=flight_options, stops=flight_stops, view=view_options)
+@takes(figure=figure_choice, options=flight_options, stops=flight_stops, view=view_options)
 def fly(
     submission: AnySubmission = None,
     level: ArenaLevel = None,
@@ -97,8 +98,8 @@ def fly(
     set_: Overrides = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before arming.")] = False,
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode.")] = True,
-    figure: Annotated[bool, typer.Option(help="Write a PNG an episode.")] = True,
     *,
+    figure: str,
     options: FlightOptions,
     real_time: Annotated[
         bool, typer.Option(help="Ask for real-time scheduling and locked memory.")

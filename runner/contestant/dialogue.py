@@ -2,17 +2,37 @@
 
 from __future__ import annotations
 
+import json
+import os
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from crazyarena.errors import InputError
 from crazyarena.levels.schema import Level
 from crazyarena.runner.contestant.contract_2022.command_check import Asked
 from crazyarena.runner.contestant.interrupt import Interrupt
 
 Array = NDArray[np.float64]
+
+PARAMETERS = "CRAZYARENA_PARAMETERS"
+"""Environment variable with a JSON mapping that a contestant is told, for trying values out."""
+
+
+def told_parameters() -> dict[str, Any]:
+    """What :data:`PARAMETERS` of this process says; empty without it. Raises InputError."""
+    text = os.environ.get(PARAMETERS, "")
+    if not text:
+        return {}
+    try:
+        told = json.loads(text)
+    except ValueError as error:
+        raise InputError(f"{PARAMETERS}: no valid JSON: {error}") from None
+    if not isinstance(told, dict):
+        raise InputError(f'{PARAMETERS}: expected a mapping, such as {{"speed": 1.5}}')
+    return told
 
 
 @dataclass(slots=True)

@@ -13,7 +13,7 @@ from crazyarena.errors import CommandError, InputError
 from crazyarena.levels.schema import Level
 from crazyarena.runner.contestant.contract_2022.command_check import checked
 from crazyarena.runner.contestant.contract_2022.info import Canvas, initial_info
-from crazyarena.runner.contestant.dialogue import Answer, Question
+from crazyarena.runner.contestant.dialogue import Answer, Question, told_parameters
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.contestant.prints import PrintsShown
 from crazyarena.runner.contestant.submission import Submission, own_traceback
@@ -38,6 +38,8 @@ class Pilot:
 
     def make(self, obs: list[Any], level: Level, start: Array) -> None:
         info = initial_info(level, self._canvas, start)
+        if parameters := told_parameters():
+            info["parameters"] = parameters
         self._controller = self._submission.make(list(obs), info, level.use_firmware, level.verbose)
         self.learns = hasattr(self._controller, "interStepLearn")
 
@@ -149,6 +151,9 @@ class InProcess:
             )
             seconds = time.perf_counter() - started
             return Answer(question.step, None, text, seconds, timed_out=True)
+        except KeyboardInterrupt as raised:
+            text = f"step {question.step}: it raised\n{self._own(raised)}"
+            return Answer(question.step, None, text, time.perf_counter() - started)
         finally:
             limit.end()
             interrupt.in_controller = False
@@ -160,6 +165,14 @@ class InProcess:
         except TimeIsUp as late:
             text = f"{name} did not return within {self._hook_timeout:g} s\n{own_traceback(late)}"
             return self._hook_timeout, text
+        except KeyboardInterrupt as raised:
+            return 0.0, f"{name} raised\n{self._own(raised)}"
+
+    def _own(self, raised: KeyboardInterrupt) -> str:
+        """Traceback of what the controller itself has raised; raises on what somebody asked for."""
+        if self._interrupt.asked:
+            raise raised
+        return own_traceback(raised)
 
     def close(self) -> None:
         self._limit.close()

@@ -34,7 +34,7 @@ class EpisodeResult:
     missed_ticks: control steps in which no command of the contestant was applied;
     late_commands: commands applied at a later tick than their own; phases: s by name.
     reveals: when which gate's exact pose was told. why: the termination with what the referee
-    knows of it, in one line.
+    knows of it, in one line. doubt: what the recording does not bear out of the result.
     """
 
     index: int
@@ -68,11 +68,12 @@ class EpisodeResult:
     phases: dict[str, float] = field(default_factory=dict)
     reveals: list[dict[str, Any]] = field(default_factory=list)
     why: str = ""
+    doubt: str = ""
 
     @property
     def clean(self) -> bool:
-        """Completed, never touched anything, never broke a constraint."""
-        return self.completed and self.collisions == 0 and self.violations == 0
+        """Completed, never touched anything, never broke a constraint, and nobody doubts it."""
+        return self.completed and self.collisions == 0 and self.violations == 0 and not self.doubt
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""

@@ -16,6 +16,7 @@ from crazyarena.runner.judging.referee import (
     TUMBLED,
     Event,
 )
+from crazyarena.runner.judging.result import CONTROLLER_TIMEOUT
 from crazyarena.sim_backend.physics.scene import BEAM_OFFSET, GATE_CENTRE_Z
 from crazyarena.sim_backend.trace import TR_POS, TR_TIME, TR_VEL
 
@@ -61,7 +62,9 @@ def explain(
     if reason == MAX_EPISODE_DURATION:
         return _too_long(reason, rows, gates, level, highest, passed, first_command)
     if error:
-        return f"{reason}: {error.strip().splitlines()[-1].strip()}"
+        # Of a traceback the last line says what it was; where time is up, that is how we ended it.
+        line = error.strip().splitlines()[0 if reason == CONTROLLER_TIMEOUT else -1]
+        return f"{reason}: {line.strip()}"
     return reason
 
 

@@ -7,6 +7,7 @@ the times of gates and goal.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from crazyarena import whole_file
 from crazyarena.bounded_read import read_json
 from crazyarena.errors import InputError
-from crazyarena.plain_text import shown_line, unmarked
+from crazyarena.levels.schema import Level
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.records import export
+from crazyarena.runner.records.recorded_level import recorded_level
 
 Array = NDArray[np.float64]
 
@@ -31,6 +33,7 @@ class Flight:
     """One recorded flight: time (n,) s, position (n, 3) m, gate times, and how long it took.
 
     vehicle: model that flew, or that the real one was taken for; empty if the recording is silent.
+    level: its name, likewise; course: None for one of another contract.
     """
 
     file: Path
@@ -41,6 +44,22 @@ class Flight:
     termination: str
     missed: int
     vehicle: str = ""
+    level: str = ""
+    course: Course | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What a flight was to do: the level as recorded; true gates (n, 7), obstacles (m, 6)."""
+
+    level: Level
+    gates: Array
+    obstacles: Array
+
+    def same(self, other: Course) -> bool:
+        """Whether the level has the same track, start and goal."""
+        a, b = self.level, other.level
+        return (a.track, a.start, a.goal) == (b.track, b.start, b.goal)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +131,11 @@ class Comparison:
             ],
         }
 
+    def document(self) -> dict[str, Any]:
+        """What ``compare.json`` says: the summary, and which recordings were compared."""
+        runs = [[str(flight.file.resolve()) for flight in group] for group in self.groups]
+        return {**self.summary(), "names": list(self.names), "runs": runs}
+
 
 def load(run: Path) -> list[Flight]:
     """Flights of a results folder, of a folder of such folders, or of one recording."""
@@ -147,7 +171,49 @@ def _flight(file: Path) -> Flight:
         termination,
         events.count("deadline missed"),
         recording.metadata.get("vehicle", ""),
+        recording.metadata.get("level", ""),
+        _course(recording.metadata),
     )
+
+
+def _course(metadata: dict[str, str]) -> Course | None:
+    level = recorded_level(metadata)
+    if level is None:
+        return None
+    try:
+        gates, obstacles = (
+            np.array(json.loads(metadata[name]), dtype=np.float64).reshape(-1, width)
+            for name, width in (("gates", 7), ("obstacles", 6))
+        )
+    except (KeyError, ValueError, TypeError):
+        return None
+    fits = len(gates) == len(level.track.gates) and len(obstacles) == len(level.track.obstacles)
+    if not (fits and np.isfinite(gates).all() and np.isfinite(obstacles).all()):
+        return None
+    return Course(level, gates, obstacles)
+
+
+def refuse_different_levels(groups: Sequence[Sequence[Flight]]) -> None:
+    """Raise InputError if not all flights flew the same course, as far as recordings tell."""
+    flights = [flight for group in groups for flight in group]
+    first = next((flight for flight in flights if flight.level), None)
+    for flight in flights:
+        if first is None or not flight.level:
+            continue
+        differ = flight.level != first.level
+        if not differ and flight.course is not None and first.course is not None:
+            differ = not flight.course.same(first.course)
+        if differ:
+            what = (
+                f"{first.level} and {flight.level}"
+                if flight.level != first.level
+                else f"{flight.level} with another track, start or goal"
+            )
+            raise InputError(
+                f"compare: different levels: {what} ({shown_line(str(first.file))}, "
+                f"{shown_line(str(flight.file))}). To compare them all the same: "
+                "--different-levels"
+            )
 
 
 def _termination(file: Path) -> str:
@@ -170,13 +236,23 @@ def _termination(file: Path) -> str:
 
 
 def compare(
-    a: Sequence[Path], b: Sequence[Path], names: tuple[str, str] = ("a", "b")
+    a: Sequence[Path],
+    b: Sequence[Path],
+    names: tuple[str, str] = ("a", "b"),
+    different_levels: bool = False,
 ) -> Comparison:
-    """Compare the flights of two groups of runs; raises InputError if one holds none."""
+    """Compare the flights of two groups of runs.
+
+    Raises
+    ------
+    InputError: a group holds no flights, or they flew ``different_levels`` and may not.
+    """
     groups = tuple([flight for run in group for flight in load(run)] for group in (a, b))
     for name, flights in zip(names, groups, strict=True):
         if not flights:
             raise InputError(f"compare: no flights in group {name}")
+    if not different_levels:
+        refuse_different_levels(groups)
     begin = max(float(f.time[0]) for group in groups for f in group)
     end = min(float(f.time[-1]) for group in groups for f in group)
     if end - begin < _STEP:
@@ -228,48 +304,3 @@ def table(comparison: Comparison) -> Any:
     for row in rows:
         shown.add_row(*row)
     return shown
-
-
-def save_figure(file: Path, comparison: Comparison) -> None:
-    """Write a PNG: both groups from above, over time, and their distance."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 7), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(4, 2, width_ratios=[1.1, 1])
-    top = figure.add_subplot(grid[:, 0])
-    colours = ("tab:blue", "tab:red")
-    for flights, colour, name in zip(comparison.groups, colours, comparison.names, strict=True):
-        for i, flight in enumerate(flights):
-            label = f"{unmarked(name)} ({len(flights)})" if i == 0 else None
-            top.plot(*flight.position[:, :2].T, color=colour, lw=0.8, alpha=0.6, label=label)
-    top.set_aspect("equal")
-    top.set_xlabel("x [m]")
-    top.set_ylabel("y [m]")
-    top.grid(True, alpha=0.3)
-    top.legend(loc="upper right", fontsize=8)
-    means = (comparison.mean_a, comparison.mean_b)
-    stds = (comparison.std_a, comparison.std_b)
-    first = None
-    for i, axis_name in enumerate("xyz"):
-        axis = figure.add_subplot(grid[i, 1], sharex=first)
-        first = first or axis
-        for mean, std, colour in zip(means, stds, colours, strict=True):
-            axis.plot(comparison.time, mean[:, i], color=colour, lw=1)
-            axis.fill_between(
-                comparison.time,
-                mean[:, i] - std[:, i],
-                mean[:, i] + std[:, i],
-                color=colour,
-                alpha=0.2,
-                lw=0,
-            )
-        axis.set_ylabel(f"{axis_name} [m]")
-        axis.grid(True, alpha=0.3)
-    last = figure.add_subplot(grid[3, 1], sharex=first)
-    last.plot(comparison.time, 100 * comparison.distance, color="black", lw=1)
-    last.set_ylabel("distance [cm]")
-    last.set_xlabel("time [s]")
-    last.grid(True, alpha=0.3)
-    whole_file.save_figure(figure, file)

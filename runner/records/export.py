@@ -17,6 +17,8 @@ from crazyarena.whole_file import write_whole
 
 _FIELD = re.compile(r"^float64(?:\[(\d{1,6})\])?\s+(\w+)$", re.ASCII)
 _MOST_COLUMNS = 10_000
+FOXGLOVE = ".foxglove.mcap"
+"""How copies for viewers are named, which are no recordings."""
 
 
 @dataclass
@@ -61,7 +63,7 @@ def recordings(run: Path) -> list[Path]:
         return [run]
     if not run.exists():
         raise InputError(f"{run}: no such file or folder. Pass a results folder or an .mcap file")
-    whole = set(run.glob("*.mcap"))
+    whole = {file for file in run.glob("*.mcap") if not file.name.endswith(FOXGLOVE)}
     # A process killed between finishing the one and removing the other leaves both.
     parts = {part for part in run.glob("*.mcap.part") if part.with_suffix("") not in whole}
     files = sorted(whole | parts)

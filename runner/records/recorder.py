@@ -28,6 +28,10 @@ from crazyarena.runner.timing.rows import Rows
 from crazyarena.sim_backend.trace import TR_TIME, TRACE_SIZE
 from crazyarena.whole_file import whole_file
 
+SINCE = "0.1.0"
+"""First version that wrote recordings like these: the same flight gives the same bytes in each
+version since. Which one wrote a recording is in the ``result.json`` beside it."""
+
 # Kinds of commands sent, by number: 0 is "nothing sent".
 SENT_KINDS: tuple[type, ...] = get_args(cs.Command)
 _KIND_NUMBER = {kind: i + 1 for i, kind in enumerate(SENT_KINDS)}
@@ -347,19 +351,19 @@ class Recorder:
             return
         self._closed = True
         counts = self._counts()
-        verbs = {f"asked {number}": name for name, number in VERBS.items()}
-        used = set(self._commands.rows[:, _CM_SENT].tolist())
-        verbs |= {
-            f"sent {number}": kind.__name__
-            for kind, number in _KIND_NUMBER.items()
-            # Recordings without it stay as they always were.
-            if kind is not cs.RollPitchYawThrust or number in used
-        }
         try:
             # What a loss of power takes of a dry run of 2022, flying it again gives back.
             with whole_file(self.file, sync=self._channels is not CHANNELS) as stream:
                 writer = mcap_file.McapWriter(stream, self._channels)
                 writer.metadata("crazyarena", self._metadata)
+                verbs = {f"asked {number}": name for name, number in VERBS.items()}
+                sent = set(self._commands.rows[:, _CM_SENT].tolist())
+                verbs |= {
+                    f"sent {number}": kind.__name__
+                    for kind, number in _KIND_NUMBER.items()
+                    # Recordings without it stay as they always were.
+                    if kind is not cs.RollPitchYawThrust or number in sent
+                }
                 writer.metadata("verbs", verbs)
                 writer.chunk(self._batches([0] * _VEHICLE, counts))
                 writer.finish()
@@ -381,3 +385,16 @@ class Recorder:
     def states(self) -> NDArray[np.float64]:
         """(n, TRACE_SIZE) ticks recorded so far."""
         return self._states.rows
+
+    @property
+    def first_scene(self) -> dict[str, Any]:
+        """The ``foxglove.SceneUpdate`` that the flight began in."""
+        scene: dict[str, Any] = json.loads(self._scenes[0][1])
+        return scene
+
+    @property
+    def commanded_from(self) -> float:
+        """When the first command went to the vehicle, s; inf if none did."""
+        commands = self._commands.rows
+        sent = np.flatnonzero(commands[:, _CM_SENT])
+        return float(commands[sent[0], 0]) if len(sent) else float("inf")

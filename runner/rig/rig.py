@@ -141,8 +141,8 @@ def simulated(
     """The rig of a dry run: everything in this process, in virtual time.
 
     ``supply`` is of the vehicles that fly; that of the level if not given. With a positioning
-    ``deck`` there are no cameras, and what is known of the vehicle is its own estimate. ``track``
-    builds the track of a draw, and ``params`` are written to the vehicle, as
+    ``deck`` there are no cameras, and what is known of the vehicle is its own estimate.
+    ``track`` builds the track of a draw, and ``params`` are written to the vehicle, as
     :class:`~crazyarena.sim_backend.arena_world.SimulatedArena` takes them.
     """
     from crazyarena.sim_backend.arena_world import SimulatedArena, motions

@@ -3,9 +3,9 @@ on zenoh or as one of the emulated systems.
 
 ``python -m crazyarena.runner.rig.virtual_arena CONFIG`` with a JSON object: level_file (path),
 seed, lsy (name and overrides of a level of lsy_drone_racing, or null), vehicle (id),
-vehicle_file, port, radio (on the air, not on the port), place of the cameras,
-cameras (fields of CameraModel), battery (times the usual capacity), deck (on the vehicle, instead
-of cameras; none if empty). Prints one line of JSON with
+vehicle_file, port, radio (on the air, not on the port), place of the cameras, cameras (fields of
+CameraModel), battery (times the usual capacity), deck (on the vehicle, instead of cameras; none if
+empty). Prints one line of JSON with
 ``uri`` and ``air`` once it runs, and on SIGTERM one with how it kept up, then ends; also 20 s after
 its standard input was closed.
 """

@@ -36,17 +36,21 @@ def bounded(seconds: float) -> Iterator[None]:
         yield
         return
 
+    began, running = time.perf_counter(), True
+
     def ring(number: int, frame: Any) -> None:
-        raise TimeIsUp
+        # An alarm of somebody else's timer may still be on its way.
+        if running and time.perf_counter() - began >= 0.99 * seconds:
+            raise TimeIsUp
 
     _last_resort()
     before = signal.signal(signal.SIGALRM, ring)
     signal.setitimer(signal.ITIMER_PROF, seconds + _GRACE)
-    began = time.perf_counter()
     due, again = signal.setitimer(signal.ITIMER_REAL, seconds, _AGAIN)
     try:
         yield
     finally:
+        running = False
         # Whoever has set an alarm of their own gets it, if late.
         left = max(due - (time.perf_counter() - began), _AT_ONCE) if due else 0.0
         signal.setitimer(signal.ITIMER_REAL, 0.0)

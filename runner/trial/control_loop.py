@@ -413,7 +413,7 @@ class ControlLoop:
             reason,
             self._events,
             self._rows,
-            float(self._highest),
+            self._highest,
             self._first,
             self._error,
         )

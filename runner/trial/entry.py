@@ -103,8 +103,8 @@ class Entry2022:
     params: Mapping[str, float] = {}
     arena = None
 
-    def __init__(self, submission: Path, level: str, overrides: Sequence[str]) -> None:
-        self.level = load_level(level, overrides)
+    def __init__(self, submission: Path, level: str | Level, overrides: Sequence[str]) -> None:
+        self.level = load_level(level, overrides) if isinstance(level, str) else level
         entry_file(submission.expanduser())  # a wrong path must not leave a results folder behind
         self.path = submission.expanduser().resolve()
 
@@ -128,7 +128,12 @@ class Entry2022:
         if sandboxed:
             from crazyarena.runner.contestant.sandbox.process import Sandboxed
 
-            return Sandboxed(self.path, options.limits, require=options.require_sandbox)
+            return Sandboxed(
+                self.path,
+                options.limits,
+                require=options.require_sandbox,
+                parameters=options.parameters,
+            )
         return InProcess(Submission(self.path, work))
 
     def provenance(self, seed: int, digest: str) -> dict[str, Any]:
@@ -318,13 +323,13 @@ def default_level(
     return lsy if is_lsy(submission, None) else otherwise
 
 
-def enter(submission: Path, level: str, overrides: Sequence[str] = ()) -> Entry:
-    """The entry that a submission is, on a level.
+def enter(submission: Path, level: str | Level, overrides: Sequence[str] = ()) -> Entry:
+    """The entry that a submission is, on a level or a loaded one of 2022.
 
     Raises
     ------
     InputError: the level or the submission is at fault, or they do not go together.
     """
-    if is_lsy(submission, level):
+    if isinstance(level, str) and is_lsy(submission, level):
         return EntryLsy(submission, level, overrides)
     return Entry2022(submission, level, overrides)

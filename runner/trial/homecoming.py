@@ -106,7 +106,7 @@ class Homecoming(Hands):
         rest[2] = max(rest[2], begin[2], DOWN + 0.1)
         inside = self._inside(rest, _ASIDE)
         away = inside - rest
-        if speed < STILL:
+        if speed < STILL and not away.any():
             return begin, yaw
         drawing = float(np.linalg.norm(away)) / _DRAW_BACK
         clock = self._rig.clock

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -23,7 +24,12 @@ from crazyarena.runner.contestant.contract_lsy.dialogue import (
 )
 from crazyarena.runner.judging import verdict_row as vd
 from crazyarena.runner.judging.lsy_rules import GATES_PASSED, LsyEvent, LsyReferee, LsyVerdict
-from crazyarena.runner.judging.result import CONTROLLER_ERROR, INTERRUPTED, percentiles_ms
+from crazyarena.runner.judging.result import (
+    CONTROLLER_ERROR,
+    CONTROLLER_TIMEOUT,
+    INTERRUPTED,
+    percentiles_ms,
+)
 from crazyarena.runner.records.lsy_scene import drawn_scene
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.sim_backend.successor import SuccessorWorld
@@ -68,7 +74,10 @@ class LsyEpisodeResult:
 
 
 class LsyEpisode:
-    """Flies one episode; the caller closes contestant and recorder."""
+    """Flies one episode; the caller closes contestant and recorder.
+
+    most: s of wall time that all its answers together may take.
+    """
 
     def __init__(
         self,
@@ -81,7 +90,9 @@ class LsyEpisode:
         recorder: Recorder | None = None,
         on_step: Callable[[int, float], None] | None = None,
         wall: Clock | None = None,
+        most: float = math.inf,
     ) -> None:
+        self._most = most
         self._index = index
         self._level = level
         self._contestant = contestant
@@ -110,7 +121,7 @@ class LsyEpisode:
         built = self._wall.now() - construct
         try:
             reason = self._loop(obs)
-            if reason != CONTROLLER_ERROR:
+            if reason not in (CONTROLLER_ERROR, CONTROLLER_TIMEOUT):
                 for name in EPISODE_HOOKS:
                     _, trouble = self._contestant.hook(name)
                     if trouble is not None:
@@ -124,7 +135,7 @@ class LsyEpisode:
         rate = self._level.env.freq
         told: Told | None = None
         verdict: LsyVerdict | None = None
-        step = 0
+        step, thought = 0, 0.0
         while True:
             over = verdict is not None and (verdict.terminated or verdict.truncated)
             draw = self._recorder is not None and step % _DRAWN_EVERY == 0
@@ -133,6 +144,13 @@ class LsyEpisode:
             if answer.error is not None:
                 self._error = answer.error
                 return CONTROLLER_ERROR
+            thought += answer.seconds
+            if thought > self._most:
+                self._error = (
+                    f"step {step}: its answers took {thought:.0f} s of wall time; "
+                    f"{self._most:g} s are allowed in an episode"
+                )
+                return CONTROLLER_TIMEOUT
             if over:
                 assert verdict is not None
                 assert verdict.reason is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from crazyarena.errors import InputError
@@ -33,6 +34,7 @@ class FlightOptions:
     competition profile. secret: the level is drawn from a seed that nobody can guess. compute:
     ``measured``, ``free`` or ``fixed=MS``; None: measured on arena levels, free on the others.
     factor: how much slower the flight machine is. budget: wall time of steps, episodes and trials.
+    parameters: told to the contestant, see :class:`.Sandboxed`.
     """
 
     sandbox: bool | None = None
@@ -44,6 +46,7 @@ class FlightOptions:
     late: LatePolicy = LatePolicy.HOLD
     max_misses: int = 15
     limits: Limits = field(default_factory=Limits)
+    parameters: Mapping[str, object] = field(default_factory=dict)
 
     def check(self) -> None:
         """Raise InputError for what contradicts itself."""

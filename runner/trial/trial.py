@@ -10,16 +10,15 @@ reset tells the contestant nothing.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from crazyarena import __version__
 from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
-from crazyarena.levels.draw import Draw
+from crazyarena.levels.draw import Draw, SeparateDraws
 from crazyarena.levels.schema import Level
 from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.dialogue import Contestant
@@ -34,8 +33,8 @@ from crazyarena.runner.judging.result import (
     EpisodeResult,
     TrialResult,
 )
-from crazyarena.runner.records.recorder import Recorder
-from crazyarena.runner.trial.contract import Contract, Contract2022
+from crazyarena.runner.records.recorder import SINCE, Recorder
+from crazyarena.runner.trial.contract import Contract, Contract2022, Draws
 from crazyarena.runner.trial.control_loop import ControlLoop, Deadlines
 from crazyarena.runner.trial.options import FlightOptions
 from crazyarena.runner.trial.phase import Aborted, MeasuredTrack, Phase
@@ -61,7 +60,7 @@ class Trial:
     staging: what surrounds a run; nothing by default.
     deadlines: those of the level's profile by default.
     episodes: how many; default the level's own number.
-    seed: replaces the level's own.
+    seed: replaces the level's own. seeds: one for each episode instead, which are then as many.
     out: existing folder for recordings, or None to record nothing.
     keep_states: keep the flight in memory for ``on_episode`` even if nothing is recorded.
     on_step: called with (episode, time s) after every control step.
@@ -80,6 +79,7 @@ class Trial:
         deadlines: Deadlines | None = None,
         episodes: int | None = None,
         seed: int | None = None,
+        seeds: Sequence[int] | None = None,
         out: Path | None = None,
         keep_states: bool = False,
         on_step: Callable[[int, float], None] | None = None,
@@ -95,6 +95,9 @@ class Trial:
         self._deadlines = deadlines or FlightOptions().deadlines(level)
         self._episodes = level.num_episodes if episodes is None else episodes
         self._seed = level.seed if seed is None else seed
+        self._seeds = seeds
+        if seeds is not None:
+            self._episodes = len(seeds)
         self._out = out.resolve() if out is not None else None
         self._keep_states = keep_states
         self._on_step = on_step
@@ -108,7 +111,11 @@ class Trial:
 
     def run(self) -> TrialResult:
         """Fly; raises InputError when the controller cannot be constructed."""
-        random = self._contract.draws(self._seed)
+        random: Draws
+        if self._seeds is None:
+            random = self._contract.draws(self._seed)
+        else:
+            random = SeparateDraws(self._level, self._seeds)
         referee = self._contract.referee()
         results: list[EpisodeResult] = []
         obs: Any = []
@@ -280,9 +287,9 @@ class Trial:
         if self._out is None and not self._keep_states:
             return None
         metadata = {
-            "crazyarena": __version__,
+            "crazyarena": SINCE,
             **self._contract.metadata(draw, track, start),
-            "seed": str(self._seed),
+            "seed": str(self._seed if self._seeds is None else self._seeds[index]),
             "episode": str(index),
             "submission_sha256": self._contestant.digest,
             "start": json.dumps(start.tolist()),

@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from crazyarena.errors import CrazyarenaError, InputError
-from crazyarena.levels.document import parse
-from crazyarena.levels.fields import validate
-from crazyarena.levels.schema import Level
+from crazyarena.errors import InputError
 from crazyarena.runner.records import export
 from crazyarena.runner.records.mcap_records import Records, read_records
+from crazyarena.runner.records.recorded_level import recorded_level
 from crazyarena.runner.records.shown_scene import arena_data, nominal_track
 from crazyarena.safety.fence import Fence
 
@@ -105,7 +103,7 @@ def read_flight(file: Path, name: str | None = None) -> Flight:
     time = _column(states, columns, "time", 1, file)[:, 0]
     if not (np.isfinite(time).all() and (np.diff(time) >= 0.0).all()):
         raise InputError(f"{file}: topic /state: its times do not rise")
-    level = _level(recording.metadata.get("level_file", ""))
+    level = recorded_level(recording.metadata)
     updates = _updates(read_records(file))
     scene: dict[str, Any] = {
         "title": recording.metadata.get("level", ""),
@@ -151,16 +149,6 @@ def _column(rows: Array, columns: dict[str, int], name: str, size: int, file: Pa
     if first is None or first + size > rows.shape[1]:
         raise InputError(f"{file}: topic /state has no field {name!r} of {size} numbers")
     return rows[:, first : first + size]
-
-
-def _level(text: str) -> Level | None:
-    """The level as the recording has it; None for one of another contract or another time."""
-    if not text or text.lstrip().startswith("{"):
-        return None
-    try:
-        return validate(parse(text, "level_file"), Level)
-    except CrazyarenaError:
-        return None
 
 
 def _updates(records: Records) -> list[tuple[float, list[Any]]]:

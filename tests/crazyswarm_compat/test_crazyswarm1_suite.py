@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
+
 import numpy as np
 import pytest
 
@@ -383,7 +386,11 @@ def test_film_as_mp4(swarm1, tmp_path):
     swarm.timeHelper.sleep(1.0)
     swarm.timeHelper._atexit()
     frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(path))
-    assert frames == round(12 * swarm.timeHelper.time())
+    assert frames == round(30 * swarm.timeHelper.time())
+    found = subprocess.run(
+        [imageio_ffmpeg.get_ffmpeg_exe(), "-i", path], capture_output=True, text=True
+    ).stderr
+    assert re.search(r"Video: h264 .*yuv420p.*30 fps", found)
     assert seconds == pytest.approx(swarm.timeHelper.time(), abs=0.1)
 
 

@@ -43,6 +43,17 @@ def test_real_braking_and_the_first_look_are_believed():
     assert told.velocity[0] == pytest.approx(0.2)
 
 
+def test_without_poses_it_brakes_gently():
+    """A sharp tilt excites slow rotors, and without cameras nothing steadies the vehicle."""
+    for age, braking in ((0.01, 6.0), (0.2, 3.0)):
+        pilot = SafePilot(fence(), Limits())
+        told = first_setpoint(pilot, 5.0, velocity=(2.0, 0.0, 0.0), pose_age=age)
+        assert told.acceleration[0] == pytest.approx(-braking)
+    weak = SafePilot(fence(), Limits(braking=2.0))
+    told = first_setpoint(weak, 5.0, velocity=(2.0, 0.0, 0.0), pose_age=0.2)
+    assert told.acceleration[0] == pytest.approx(-2.0)
+
+
 def test_a_velocity_that_is_no_number_is_left_out():
     pilot = SafePilot(fence(), Limits())
     pilot.see(flying(0.0, velocity=(0.5, 0.0, 0.0)))

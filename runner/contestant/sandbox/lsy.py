@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,19 @@ class LsySandboxed(Sandboxed):
     """
 
     def __init__(
-        self, file: Path, drone_model: str, limits: Limits | None = None, *, require: bool = False
+        self,
+        file: Path,
+        drone_model: str,
+        limits: Limits | None = None,
+        *,
+        require: bool = False,
+        parameters: Mapping[str, object] | None = None,
+        patience: float | None = None,
     ) -> None:
         self._model = drone_model
         self._wants = False
-        super().__init__(file, limits, require=require)
+        self._patience = _PATIENCE if patience is None else patience
+        super().__init__(file, limits, require=require, parameters=parameters)
 
     def _copied(self) -> tuple[Path, str, Box]:
         box = Box(self.path, self._limits.copy_size, bundle_root(self.path))
@@ -42,7 +51,8 @@ class LsySandboxed(Sandboxed):
             # An earlier episode ended without the answer to its last question.
             self.wait(self._limits.make_timeout)
         env = {**config.get("env", {}), "seed": -1}
-        payload = (obs, {**config, "env": env})
+        told = {"parameters": self._parameters} if self._parameters else {}
+        payload = (obs, {**config, "env": env, **told})
         self._request("make", payload, self._limits.make_timeout, "the controller's constructor")
 
     def put(self, question: LsyQuestion) -> None:
@@ -64,11 +74,11 @@ class LsySandboxed(Sandboxed):
 
     def ask(self, question: LsyQuestion) -> LsyAnswer:  # type: ignore[override]
         self.put(question)
-        answer = self.take(_PATIENCE)
+        answer = self.take(self._patience)
         if answer is None:
             self.kill()
             return LsyAnswer(
                 question.step,
-                error=f"step {question.step}: no answer within {_PATIENCE:g} s",
+                error=f"step {question.step}: no answer within {self._patience:g} s",
             )
         return answer

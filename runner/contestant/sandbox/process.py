@@ -13,6 +13,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
@@ -26,9 +27,10 @@ from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.dialogue import Answer, Question
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.contestant.sandbox import bubblewrap, quota, wire
-from crazyarena.runner.contestant.sandbox.announce import announcement
+from crazyarena.runner.contestant.sandbox.announcement import announcement
 from crazyarena.runner.contestant.sandbox.box import Box
 from crazyarena.runner.contestant.sandbox.confine import may_mount, open_to_others, readable
+from crazyarena.runner.contestant.sandbox.environment import environment
 from crazyarena.runner.contestant.sandbox.limits import Limits
 from crazyarena.runner.contestant.submission import check_size, entry_file, submission_hash
 
@@ -37,16 +39,6 @@ _START_TIMEOUT = 60.0  # s, for the interpreter to come up
 _SENDING = 1.0  # s, for a question to find room in the channel
 _LOOK = 0.25  # s, between looks at how many files there are, while nothing else happens
 _MIB = 2**20
-_THREADS = (
-    "OPENBLAS_NUM_THREADS",
-    "OMP_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "NUMBA_NUM_THREADS",
-)
-
-
 # Tests of what happens on machines that allow no mounts set this to False.
 MOUNT = True
 
@@ -63,6 +55,8 @@ class Sandboxed:
     submission: folder or .py file; it is copied, nothing is ever written to it.
     limits: resources of the process.
     require: refuse to go on unless files, network and other processes are shut off.
+    parameters: plain data that the contestant is told, as JSON in the environment variable
+        ``CRAZYARENA_PARAMETERS`` and as ``parameters`` of what its constructor is given.
 
     Raises
     ------
@@ -71,8 +65,14 @@ class Sandboxed:
     """
 
     def __init__(
-        self, submission: Path, limits: Limits | None = None, *, require: bool = False
+        self,
+        submission: Path,
+        limits: Limits | None = None,
+        *,
+        require: bool = False,
+        parameters: Mapping[str, object] | None = None,
     ) -> None:
+        self._parameters = dict(parameters or {})
         self.path = submission.expanduser().resolve()
         self._limits = limits or Limits()
         self._require = require
@@ -298,27 +298,10 @@ class Sandboxed:
                 stdout=output,
                 stderr=output,
                 cwd=box.work,
-                env=self._environment(),
+                env=environment(self._box, self._parameters),
                 pass_fds=(theirs.fileno(),),
                 start_new_session=True,
             )
-
-    def _environment(self) -> dict[str, str]:
-        box = self._box
-        kept = {k: os.environ[k] for k in ("PATH", "LANG", "LC_ALL", "TZ") if k in os.environ}
-        return {
-            **kept,
-            "HOME": str(box.home),
-            "TMPDIR": str(box.tmp),
-            "XDG_CACHE_HOME": str(box.home / ".cache"),
-            "NUMBA_CACHE_DIR": str(box.home / ".numba"),
-            "MPLCONFIGDIR": str(box.home / ".matplotlib"),
-            "MPLBACKEND": "Agg",
-            "PYTHONHASHSEED": "0",
-            "PYTHONDONTWRITEBYTECODE": "1",
-            "PYTHONUNBUFFERED": "1",
-            **dict.fromkeys(_THREADS, "1"),
-        }
 
     def _await_ready(self, require: bool) -> dict[str, Any]:
         try:

@@ -190,6 +190,16 @@ class TestGone:
         hangar.fleet.send(c.Emergency(), 0)
         script.ends(r"cf1: has locked itself in flight")
 
+    def test_locked_while_out_of_reach(self, world):
+        hangar, backend = world(options=RadioOptions(link_timeout=0.4, gone_after=60.0))
+        script = Script(backend)
+        fly(hangar, backend)
+        script.check()
+        hangar.server.cut(1.5)
+        hangar.fleet.send(c.Emergency(), 0)
+        script.hears(r"cf1: link lost .* in the air")
+        script.ends(r"cf1: has locked itself in flight")
+
     def test_with_a_guard_it_only_warns(self, world):
         hangar, backend = world(options=self.options)
         script = Script(backend, guarded=True)

@@ -23,12 +23,13 @@ def record(
     delay=0.0,
     gates=(1.0, 2.0),
     vehicle=None,
+    metadata=None,
 ):
     """A straight flight of 1 m/s, displaced by ``shift`` m or late by ``delay`` s."""
     folder.mkdir(parents=True)
     recorder = Recorder(
         folder / "episode_000.mcap",
-        {} if vehicle is None else {"vehicle": vehicle},
+        metadata or ({} if vehicle is None else {"vehicle": vehicle}),
         {},
         VirtualClock(),
     )

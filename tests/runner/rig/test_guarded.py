@@ -447,9 +447,8 @@ def test_takeover_ends_the_script_with_the_vehicle_landed(tmp_path):
 @pytest.mark.parametrize(
     "name",
     [
-        "circle",
         "swap",
-        *(pytest.param(n, marks=pytest.mark.slow) for n in ("hover", "figure8", "gates")),
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("circle", "hover", "figure8", "gates")),
     ],
 )
 def test_examples_raise_no_alarm(name):

@@ -43,7 +43,7 @@ def asks(command, *ends):
 NAN = "float('nan')"
 ENDINGS = {
     "complete": Ending((COMPLETE,)),
-    "finished": asks("Command.FINISHED, []", "", LATE, "COMMANDED"),
+    "finished": asks("Command.FINISHED, []", "FINISHED"),
     "nothing": asks("Command.NONE, []", *HARMED, LATE),
     "hold": Ending(("SAFETY",), on_step=take(Action.HOLD)),
     "land": Ending(("SAFETY",), on_step=take(Action.LAND)),

@@ -10,13 +10,14 @@ import pytest
 from rich.console import Console
 
 from crazyarena.errors import InputError
-from crazyarena.levels import load_level
+from crazyarena.levels import dump_level, load_level
 from crazyarena.levels.draw import LevelRandom
-from crazyarena.runner.dry_run import DryRun
+from crazyarena.runner.dry_run import DryRun, example_racer
+from crazyarena.runner.records import second_look
 from crazyarena.runner.trial.options import FlightOptions
 from tests.runner.fakes import controller
 
-LEVEL = load_level("level3")
+LEVEL, LEVEL2 = load_level("level3"), load_level("level2")
 
 
 def test_a_secret_seed_is_drawn_from_128_bits():
@@ -85,34 +86,76 @@ def test_behind_walls_the_seed_is_told_by_the_result_alone(tmp_path):
     assert str(seed) not in str(os.environ)
 
 
-def test_a_result_that_the_submission_has_patched_is_not_taken_for_isolated(tmp_path):
-    """A submission in the judge's process, which replaces the judge's record."""
-    code = (
-        "import sys; r = sys.modules['crazyarena.runner.judging.result'].EpisodeResult\n"
-        "        old = r.__init__\n"
-        "        def forged(self, **k):\n"
-        "            k.update(termination='TASK COMPLETION', completed=True)\n"
-        "            old(self, **k)\n"
-        "            r.__init__ = old\n"
-        "        r.__init__ = forged\n"
-        "        return Command.FINISHED, []"
-    )
+FORGED = (
+    "import sys; r = sys.modules['crazyarena.runner.judging.result'].EpisodeResult\n"
+    "        old = r.__init__\n"
+    "        def forged(self, **k):\n"
+    "            k.update(termination='TASK COMPLETION', completed=True, gates_passed=k['gates'],\n"
+    "                     collisions=0, violations=0)\n"
+    "            old(self, **k)\n"
+    "            r.__init__ = old\n"
+    "        r.__init__ = forged\n"
+    "        return Command.FINISHED, []"
+)
+
+
+@pytest.mark.parametrize("sandbox", [False, True])
+def test_a_result_that_the_submission_has_patched_is_not_clean(tmp_path, sandbox):
+    """A submission in the judge's process, which replaces the judge's record without flying."""
     entry = tmp_path / "entry.py"
-    entry.write_text(controller(code))
-    for sandbox in (False, True):
-        stream = io.StringIO()
-        run = DryRun(
-            entry,
-            "level3",
-            ["episode_length=1.0"],
-            1,
-            out=tmp_path / str(sandbox),
-            figure=False,
-            console=Console(file=stream, width=120),
-            options=FlightOptions(sandbox=sandbox),
-        )
-        result = run.run()
-        if sandbox:
-            assert not result.episodes[0].completed
-        else:
-            assert "not isolated" in stream.getvalue()
+    entry.write_text(controller(FORGED))
+    stream = io.StringIO()
+    run = DryRun(
+        entry,
+        "level3",
+        ["episode_length=1.0"],
+        1,
+        out=tmp_path / "out",
+        figure=False,
+        console=Console(file=stream, width=200),
+        options=FlightOptions(sandbox=sandbox),
+    )
+    result = run.run()
+    assert not result.clean
+    document = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert not document["episodes"][0]["clean"]
+    assert not document["score"]["qualified"]
+    if sandbox:
+        assert not result.episodes[0].completed
+    else:
+        assert "not isolated" in stream.getvalue()
+        assert "not borne out by its recording: completed: True said, False" in stream.getvalue()
+        assert "gates passed: 4 said, 0 recorded" in document["episodes"][0]["doubt"]
+
+
+def test_honest_flights_are_borne_out(tmp_path):
+    stream = io.StringIO()
+    run = DryRun(
+        example_racer(),
+        "level2",
+        [],
+        2,
+        out=tmp_path / "out",
+        figure=False,
+        console=Console(file=stream, width=200),
+    )
+    result = run.run()
+    assert result.clean
+    assert not result.isolated
+    assert "borne out" not in stream.getvalue()
+    # Another number is noticed, whichever it is.
+    for index, name in enumerate(("completed", "gates_passed", "collisions", "violations")):
+        (file, *_) = sorted((tmp_path / "out").glob("*.mcap"))
+        claim = {"file": str(file), "completed": True, "gates_passed": 4}
+        claim |= {"collisions": 0, "violations": 0}
+        claim[name] = claim[name] + 1 if index else False
+        told = second_look.judged_again(LEVEL2, file)
+        assert [k for k in told if told[k] != claim[k]] == [name]
+
+
+def test_a_recording_that_cannot_be_read_bears_out_nothing(tmp_path):
+    file = tmp_path / "none.mcap"
+    file.write_bytes(b"nothing")
+    claim = {"file": str(file), "completed": True, "gates_passed": 0, "collisions": 0}
+    (told,) = second_look.doubts(dump_level(LEVEL2), [claim | {"violations": 0}])
+    assert "cannot be judged again" in told

@@ -26,7 +26,7 @@ from tests.browser import browser, errors, needs_browser, needs_viser, open_tab,
 from tests.waiting import eventually
 
 LABEL = "STOP – cut the motors"
-PATIENCE = 90.0
+PATIENCE = 240.0
 
 
 class Button:
@@ -200,12 +200,12 @@ def test_over_a_network_only_the_token_gives_rights():
 
 @needs_browser
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1500)
 def test_two_browsers_stop_land_arm_and_come_back(flight, viewer):
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.by import By
 
-    with browser(700, 600) as one, browser(360, 640, phone=True) as two:
+    with browser(500, 500) as one, browser(360, 500, phone=True) as two:
         for driver in (one, two):
             driver.get(viewer.url)
         eventually(lambda: LABEL in text(one) and LABEL in text(two), PATIENCE)
@@ -246,7 +246,7 @@ def test_two_browsers_stop_land_arm_and_come_back(flight, viewer):
 
 @needs_browser
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1500)
 def test_a_second_laptop_may_only_look_until_it_knows_the_token(flight, tmp_path):
     from selenium.webdriver.common.by import By
 
@@ -266,8 +266,10 @@ def test_a_second_laptop_may_only_look_until_it_knows_the_token(flight, tmp_path
             field.send_keys("wrong")
             assert press(driver, "Use token")
             eventually(lambda: "This is not the token" in text(driver), PATIENCE)
+            eventually(lambda: field.get_property("value") == "", PATIENCE)
             field.send_keys("0123456789abcdef")
-            eventually(lambda: press(driver, "Use token") and LABEL in text(driver), PATIENCE)
+            assert press(driver, "Use token")
+            eventually(lambda: LABEL in text(driver), PATIENCE)
             assert flight.button.pulled == []
             assert press(driver, LABEL)
             eventually(lambda: flight.button.pulled == ["operator's page"], PATIENCE)

@@ -14,9 +14,9 @@ from tests.browser import browser, errors, needs_browser, open_tab, press, text
 from tests.runner.flying import Flying
 from tests.waiting import eventually
 
-pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(600)]
+pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(1200)]
 
-PATIENCE = 90.0
+PATIENCE = 240.0
 STOP = "STOP – cut the motors"
 
 

@@ -27,6 +27,7 @@ from cflib.positioning.position_hl_commander import PositionHlCommander
 
 from crazyarena.sim_backend.crtp.toc import log_entries, param_entries
 from tests.sim_backend.crtp.virtual_process import VirtualProcess, virtual_process
+from tests.waiting import PATIENCE
 
 _COUNT = 10
 _PORTS = range(19850, 19850 + _COUNT)  # cflib scans these and no others
@@ -76,7 +77,7 @@ def scf(vehicles: VirtualProcess, cache: Path) -> Iterator[SyncCrazyflie]:
 
 
 def wait_until(condition: Callable[[], Any], timeout: float = 20.0) -> None:
-    end = time.monotonic() + timeout
+    end = time.monotonic() + PATIENCE * timeout
     while not condition():
         assert time.monotonic() < end, "waited in vain"
         time.sleep(0.05)

@@ -1,4 +1,4 @@
-"""What is in force around a contestant, in words."""
+"""What a sandbox tells at its beginning."""
 
 from __future__ import annotations
 

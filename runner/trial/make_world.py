@@ -1,4 +1,4 @@
-"""The simulated world of an entry, by its level's profile."""
+"""The simulated world that a level's profile asks for."""
 
 from __future__ import annotations
 
