@@ -42,6 +42,7 @@ _TICK = 0.005  # s, without a frame
 _FEED_PERIOD = 0.1  # s
 _TELEMETRY_GOOD = 0.3  # s, for the vehicle's own estimate
 _OFF_GROUND = 0.08  # m
+_SKIMS = 0.7  # m/s
 _DOWN_TIME = 1.0  # s, low and still, until a vehicle counts as standing
 _SWITCH_INTERVAL = 0.0005  # s, for which another Python thread may keep this one waiting
 
@@ -442,7 +443,8 @@ class Watchdog:
         low = watched.low = obs.position[2] <= watched.ground + _OFF_GROUND
         held = watched.still.update(low and moving <= 0.2, obs.time)
         if held is None:
-            return watched.airborne or not low
+            # Skimming along the floor is flying, too.
+            return watched.airborne or not low or moving > _SKIMS
         if held < _DOWN_TIME:
             return watched.airborne
         self._gate.stands(watched.vehicle)

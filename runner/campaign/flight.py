@@ -74,6 +74,7 @@ class Flight:
         self.mellinger = plan.mellinger or kind.attitude
         self.circuit = plan.circuit
         self.onset = plan.rng.uniform(BOOT + 0.05, plan.struck) if kind.early else plan.struck
+        self._early = kind.early
         self._by_attitude: AttitudePilot | None = None
         self.fence = Fence.from_arena(level.arena)
         self.clock = VirtualClock()
@@ -176,8 +177,10 @@ class Flight:
                 mass = self.fleet.plants[0, P_MASS]
                 self.fleet.bodies[0, B_VEL : B_VEL + 3] += self.gust / mass * _QUANTUM
             state = self.fleet.true_state(0)
-            flown = flown or state.position[2] > 0.3
-            off = flown and not self.fleet.rows(0).motors.any()
+            turning = bool(self.fleet.rows(0).motors.any())
+            # What goes wrong from the take-off on may never get high.
+            flown = flown or state.position[2] > 0.3 or (self._early and struck and turning)
+            off = flown and not turning
             self._excursion.see(state, off)
             off_since = (now if off_since is None else off_since) if off else None
             if struck and self._excursion.lies and off_since is not None and now - off_since > 0.5:

@@ -51,3 +51,10 @@ def test_every_fault_ends_safely(fault):
 def test_hostile_attitudes_stay_inside():
     outcomes = run_campaign(["attitude_hostile"], 40)
     assert failures(outcomes, 0.0) == []
+
+
+def test_skimming_along_the_floor_is_flying():
+    # 5 cm high at more than 4 m/s: nothing but its speed says that it flies.
+    outcome = fly("attitude_hostile", 59)
+    assert outcome.rule == "fence_predicted"
+    assert outcome.excursion < 0.0
