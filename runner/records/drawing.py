@@ -24,6 +24,8 @@ _PROGRAM = """import sys; sys.path.append(sys.argv[1])
 from crazyarena.runner.records.draw_process import main; main()"""
 MANY = 10
 """Episodes that are all drawn; of more, the first and failures, and a contact sheet of all."""
+FAILED = 4
+"""Failures that are drawn of more; they may all be as short as a fall."""
 SHEET = "episodes.png"
 
 
@@ -60,7 +62,7 @@ class Choice:
         elif self.wanted is Figures.ALL or self.episodes <= MANY:
             yes = True
         else:
-            yes = self._drawn == 0 or (not clean and self._drawn < MANY)
+            yes = self._drawn == 0 or (not clean and self._drawn <= FAILED)
         self._drawn += yes
         return yes
 

@@ -22,7 +22,7 @@ def figure_choice(
         FigureChoice,
         typer.Option(
             help="Which episodes get a PNG. auto: all, but of more than ten the first and up to "
-            "nine failures, and all on one sheet."
+            "four failures, and all on one sheet."
         ),
     ] = FigureChoice.AUTO,
     no_figure: Annotated[bool, typer.Option("--no-figure", help="As --figure none.")] = False,
