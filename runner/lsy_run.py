@@ -143,7 +143,8 @@ class LsyRun:
         if file is None:
             raise InputError(
                 f"{path}: no class here derives from lsy_drone_racing.control.Controller, which "
-                f"level {self.level.name} needs. Pass the file of such a controller"
+                f"level {level if isinstance(level, str) else level.name} needs. Pass the file "
+                "of such a controller"
             )
         self._file = file.resolve()
         self.seed = self._settled(seed, secret)

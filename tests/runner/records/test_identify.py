@@ -151,7 +151,7 @@ def test_a_log_on_board_is_flown_again_with_the_frames_that_a_ground_station_sen
     # Of 500 poses a second the estimator on board had 100.
     for pair in validate(unknown, load_vehicle("cf21plus", UNKNOWN), hover="none"):
         assert pair.outcome.rmse < 0.012
-        assert abs(pair.outcome.lag) < 0.006
+        assert abs(pair.outcome.lag) < 0.0101  # a frame
 
 
 def test_poses_and_commands_alone_tell_thrust_drag_and_all_delays(unknown, tmp_path):

@@ -268,9 +268,17 @@ def test_what_does_not_get_home_is_landed_before_its_motors_are_cut(stand, monke
     crew.launch()
     world.send(cs.Takeoff(1.2, 2.0))
     rig.clock.sleep_until(rig.clock.now() + 3.0)
-    send = crew._send
-    # It does not obey when it is sent home.
-    monkeypatch.setattr(crew, "_send", lambda c: None if isinstance(c, cs.GoTo) else send(c))
+    crew._home = crew._home + np.array([0.0, 1.0, 0.0])  # not where it took off
+    send, gone = crew._send, []
+
+    def obeys_once(command):
+        # It goes up, but does not obey when it is sent home.
+        if not isinstance(command, cs.GoTo) or not gone:
+            send(command)
+        if isinstance(command, cs.GoTo):
+            gone.append(command)
+
+    monkeypatch.setattr(crew, "_send", obeys_once)
     fastest = 0.0
 
     def watch(frame, result):
