@@ -262,7 +262,9 @@ def test_a_second_laptop_may_only_look_until_it_knows_the_token(flight, tmp_path
             open_tab(driver, "Operator")
             eventually(lambda: "Use token" in text(driver), PATIENCE)
             assert LABEL not in text(driver)
-            field = driver.find_element(By.CSS_SELECTOR, "input[type=text], input:not([type])")
+            # Selects and sliders bring inputs of their own, some of them hidden.
+            fields = driver.find_elements(By.CSS_SELECTOR, "input[type=text], input:not([type])")
+            field = [f for f in fields if f.is_displayed()][-1]
             field.send_keys("wrong")
             assert press(driver, "Use token")
             eventually(lambda: "This is not the token" in text(driver), PATIENCE)
