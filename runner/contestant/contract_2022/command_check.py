@@ -72,18 +72,24 @@ def _shown(value: Any) -> str:
     return f"{text if len(text) <= 80 else text[:77] + '...'} ({type(value).__name__})"
 
 
+_NUMBERS = frozenset((float, int, np.float64, np.float32))
+_FLOATS = np.dtype(np.float64)
+_TEXTS = (str, bytes, bytearray)
+_ROWS = (list, tuple)
+
+
 def _is_text(value: Any) -> bool:
     """Whether NumPy or float() would read numbers out of text, which no vehicle of 2022 did."""
     if isinstance(value, np.ndarray):
         # Objects may be anything; of numbers the kind says it.
         return value.dtype.kind in "USO" and any(map(_is_text, value.ravel().tolist()))
-    if isinstance(value, list | tuple):
-        return any(map(_is_text, value))
-    return isinstance(value, str | bytes | bytearray)
+    if isinstance(value, _ROWS):
+        return any(type(each) not in _NUMBERS and _is_text(each) for each in value)
+    return isinstance(value, _TEXTS)
 
 
 def _number(value: Any, verb: str, argument: str, step: int, positive: bool = False) -> float:
-    if type(value) is not float and _is_text(value):
+    if type(value) not in _NUMBERS and _is_text(value):
         raise CommandError(
             f"step {step}: {verb} argument '{argument}' is text, {_shown(value)}; expected one "
             "number. Convert it with float()"
@@ -106,7 +112,7 @@ def _number(value: Any, verb: str, argument: str, step: int, positive: bool = Fa
 
 
 def _vector(value: Any, verb: str, argument: str, step: int) -> NDArray[np.float64]:
-    if _is_text(value):
+    if not (type(value) is np.ndarray and value.dtype is _FLOATS) and _is_text(value):
         raise CommandError(
             f"step {step}: {verb} argument '{argument}' holds text, {_shown(value)}; expected "
             "three numbers. Convert them with float()"
