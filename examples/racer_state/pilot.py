@@ -3,29 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-from route import Limits, Planning, State, bars, first_guess, gates_of
+from route import Limits, State, bars, first_guess, gates_of, plan
 
 TAKE_OFF = 0.4  # s, straight up, while the rotors begin to turn
 LIFT, LIFT_LATE = 4.0, 0.12  # m/s2, s
 SWINGS = ((0.35, 0.0), (0.7, 0.0), (0.35, 0.35))  # m, first guesses
-ROUGH, FINE = 80, 170  # evaluations of a route, on the ground
-AT_ONCE, EVALUATIONS = 14, 9  # in a step, in flight: when something has moved, and afterwards
-AHEAD = 0.06  # s, from the thought to the route
-ROUNDS = 6  # of that, after something has moved
+ROUGH, FINE, IN_FLIGHT = 60, 150, 60  # iterations
 LOST = 0.3  # s, after which a gate that should have been passed is flown to once more
-STRETCH = 1.6  # of the next pieces, where a detour is too sharp
+STRETCHES = (1.0, 1.6, 2.5)  # of the next pieces, where a detour is too sharp
 YAW_RATE = 1.5  # rad/s
 MOVED = 0.005  # m, of anything in sight, that makes it plan anew
 UNSEEN = 0.12  # m, that poles nobody has seen are thought to be thicker
 
 
 class Navigator:
-    """The route of one episode; :meth:`look` at every observation, then :meth:`reference`.
-
-    The first route is planned at leisure. In flight there are a few milliseconds a step: a new
-    route begins where the old one will be in a moment, and is taken then, as good as it has become;
-    the next begins from it, until nothing gets better.
-    """
+    """The route of one episode; :meth:`look` at every observation, then :meth:`reference`."""
 
     def __init__(self, obs, limits: Limits | None = None):
         self.limits = limits or Limits()
@@ -33,22 +25,22 @@ class Navigator:
         self.start = np.array(obs["pos"], float)
         self.flies = False
         self.yaw = 0.0
-        self.next: Planning | None = None
-        self.rounds = 0  # that are left to make the route better
         start = State(*self._lifted(TAKE_OFF))
-        self.route = self._best(start, obs, TAKE_OFF)
+        self.route = self._best(start, obs, TAKE_OFF, SWINGS)
 
-    def _best(self, start, obs, begin):
+    def _best(self, start, obs, begin, swings):
         """The best of several first guesses, refined."""
         gates, walls = gates_of(obs), self._walls(obs)
-        plans = []
-        for swing, lift in SWINGS:
-            guess = first_guess(start, gates, swing, lift)
-            plans.append(Planning(start, gates, walls, self.limits, begin, guess))
-            plans[-1].advance(ROUGH)
-        best = min(plans, key=lambda plan: plan.route.cost)
-        best.advance(FINE)
-        return best.route
+        routes = [
+            plan(
+                start, gates, walls, self.limits, begin,
+                first_guess(start, gates, swing, lift), ROUGH,
+            )
+            for swing, lift in swings
+        ]  # fmt: skip
+        best = min(routes, key=lambda route: route.cost)
+        guess = best.position, best.velocity, best.acceleration, best.duration
+        return plan(start, gates, walls, self.limits, begin, guess, FINE)
 
     def _track(self, obs):
         return np.concatenate(
@@ -67,63 +59,46 @@ class Navigator:
     def look(self, obs, t):
         """Plan anew if something is not where it was said to be, or a gate was missed."""
         gates = gates_of(obs)
-        if not gates or t < TAKE_OFF - AHEAD:
+        if not gates or t < TAKE_OFF:
             return
-        if self.next is not None:
-            self.next.advance(EVALUATIONS)
-            if t + 1e-9 < self.next.begin:
-                return
-            self.flies = True
-            self.route, self.next = self.next.route, None
-            self.rounds -= 1
         if not self.flies:
             # On from where it really is.
-            self.told, self.rounds = self._track(obs), ROUNDS
-            here = np.array(obs["pos"], float), np.array(obs["vel"], float)
-            start = State(here[0] + AHEAD * here[1], here[1], np.zeros(3))
-            self._plan(obs, gates, t + AHEAD, start)
+            self.flies = True
+            self.told = self._track(obs)
+            now = State(*(np.array(obs[k], float) for k in ("pos", "vel")), np.zeros(3))
+            guess = self.route.left_at(t, len(gates))
+            self.route = plan(now, gates, self._walls(obs), self.limits, t, guess, IN_FLIGHT)
             return
         # The route may be past a gate that the drone has not quite reached.
-        first = self._legs() - len(gates)  # of the route's gates, the one to be passed next
+        legs = len(self.route.duration) // 2 - 1
+        first = legs - len(gates)  # of the route's gates, the one that is to be passed next
         due = self.route.gate_times[first] if first >= 0 else self.route.begin
         if t > due + LOST:
-            self.told, self.rounds = self._track(obs), ROUNDS
-            here = np.array(obs["pos"], float), np.array(obs["vel"], float)
-            start = State(here[0] + AHEAD * here[1], here[1], np.zeros(3))
-            self._plan(obs, gates, t + AHEAD, start, first_guess(start, gates, *SWINGS[0]))
+            self.told = self._track(obs)
+            now = State(np.array(obs["pos"], float), np.array(obs["vel"], float), np.zeros(3))
+            self.route = self._best(now, obs, t, SWINGS[:1])
             return
         track = self._track(obs)
-        if np.abs(track - self.told).max() >= MOVED:
-            # At once, bent to what is seen as far as a step allows.
-            self.told, self.rounds = track, ROUNDS
-            ahead, evaluations = 0.0, AT_ONCE
-        elif self.rounds > 0:
-            ahead, evaluations = AHEAD, EVALUATIONS
-        else:
+        if np.abs(track - self.told).max() < MOVED:
             return
-        passed = sum(time <= t + ahead for time in self.route.gate_times)
+        self.told = track
+        passed = sum(time <= t for time in self.route.gate_times)
         gates = gates[max(0, passed - first) :]
-        if gates:
-            start = State(*self.route.at(t + ahead))
-            self._plan(obs, gates, t + ahead, start, evaluations=evaluations)
-            if ahead == 0.0:
-                self.route, self.next = self.next.route, None
-
-    def _legs(self):
-        """How many gates the route passes."""
-        return len(self.route.duration) // 2 - 1
-
-    def _plan(self, obs, gates, begin, start, guess=None, evaluations=EVALUATIONS):
-        """Begin a route that is taken from ``begin`` on."""
-        if guess is None:
-            p, v, a, duration = self.route.left_at(begin, len(gates))
+        if not gates:
+            return
+        now, walls = State(*self.route.at(t)), self._walls(obs)
+        best = None
+        for stretch in STRETCHES:
+            p, v, a, duration = self.route.left_at(t, len(gates))
+            duration[:3] *= stretch
+            v[1:3] /= stretch
+            route = plan(now, gates, walls, self.limits, t, (p, v, a, duration), IN_FLIGHT)
+            if best is None or route.cost < best.cost:
+                best = route
             # What costs much more than it lasts breaks a limit: try it slower.
-            if self.rounds < ROUNDS and self.route.cost > 1.15 * (self.route.end - begin) + 0.3:
-                duration[:3] *= STRETCH
-                v[1:3] /= STRETCH
-            guess = p, v, a, duration
-        self.next = Planning(start, gates, self._walls(obs), self.limits, begin, guess)
-        self.next.advance(evaluations)
+            if best.cost < 1.15 * (best.end - t) + 0.3:
+                break
+        self.route = best
 
     def reference(self, t):
         """Position, velocity, acceleration as rows (3, 3) at a time, s since the first step."""

@@ -3,18 +3,17 @@
 The route is a chain of quintic pieces. Its knots are where the drone is, every gate's centre
 (crossed along the gate's normal), one free knot in the middle of every leg, and a place beyond the
 last gate. Positions, velocities and accelerations of the knots and the durations of the pieces are
-chosen by L-BFGS, minimising flight time plus penalties for acceleration, speed, jerk and clearance.
-A route can be planned anew from any state, a little at every step; the one before is then the first
-guess.
+chosen by L-BFGS-B, minimising flight time plus penalties for acceleration, speed, jerk and
+clearance. A route can be planned anew from any state; the one before is then the first guess.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 SAMPLES = 14  # per piece, for the penalties
@@ -252,92 +251,10 @@ def first_guess(start: State, gates: list[Gate], swing: float, lift: float) -> t
     return position, velocity, acceleration, np.maximum(chord / 1.3, 0.25)
 
 
-def descend(cost, x, low, high, memory=15):
-    """Projected L-BFGS (J. Nocedal, S. Wright, Numerical Optimization, 2006, algorithm 7.4).
-
-    Yields (value, x) after every evaluation of ``cost``, which gives value and gradient: whoever
-    has little time asks for a few at a time.
-    """
-    value, slope = cost(x)
-    yield value, x
-    pairs: deque = deque(maxlen=memory)
-    failed = False
-    while True:
-        free = ~(((x <= low) & (slope > 0.0)) | ((x >= high) & (slope < 0.0)))
-        direction = -_two_loops(np.where(free, slope, 0.0), pairs) * free
-        if direction @ slope >= 0.0:
-            pairs.clear()
-            direction = -slope * free
-        size = 1.0 if pairs else min(1.0, 0.3 / max(np.linalg.norm(direction), 1e-9))
-        for _ in range(8):
-            trial = np.clip(x + size * direction, low, high)
-            after, gradient = cost(trial)
-            yield after, trial
-            fall = slope @ (trial - x)
-            if after <= value + 1e-4 * fall:
-                break
-            # The least of the parabola through both values and the slope.
-            size *= min(max(-0.5 * fall / max(after - value - fall, 1e-12), 0.1), 0.5)
-        else:
-            if failed:
-                return
-            failed = True
-            pairs.clear()
-            continue
-        step, turn = trial - x, gradient - slope
-        if step @ turn > 1e-10:
-            pairs.append((step, turn))
-        if value - after < 1e-7 * max(1.0, value):
-            return
-        failed = False
-        x, value, slope = trial, after, gradient
-
-
-def _two_loops(q, pairs):
-    """The inverse Hessian of L-BFGS, applied to a gradient."""
-    q = q.copy()
-    shares = []
-    for step, turn in reversed(pairs):
-        share = (step @ q) / (step @ turn)
-        shares.append(share)
-        q -= share * turn
-    if pairs:
-        step, turn = pairs[-1]
-        q *= (step @ turn) / (turn @ turn)
-    for (step, turn), share in zip(pairs, reversed(shares), strict=True):
-        q += (share - (turn @ q) / (step @ turn)) * step
-    return q
-
-
-class Planning:
-    """A route in the making, from ``start`` through ``gates``; ``walls`` are those of
-    :func:`bars`. :meth:`advance` it as far as there is time; :attr:`route` is the best so far."""
-
-    def __init__(self, start: State, gates: list[Gate], walls, limits: Limits, begin: float, guess):
-        self.begin = begin
-        self.done = False
-        cost, self._unpack, x, low, high = _problem(start, gates, walls, limits, guess)
-        self._steps = descend(cost, np.clip(x, low, high), low, high)
-        self._best = (np.inf, x)
-
-    def advance(self, evaluations: int) -> None:
-        """Evaluate the cost so often, which takes one or two milliseconds each time."""
-        for _ in range(evaluations):
-            found = next(self._steps, None)
-            if found is None:
-                self.done = True
-                return
-            if found[0] < self._best[0]:
-                self._best = found
-
-    @property
-    def route(self) -> Route:
-        value, x = self._best
-        return Route(*self._unpack(x), self.begin, float(value))
-
-
-def _problem(start: State, gates: list[Gate], walls, limits: Limits, guess):
-    """Cost with its gradient, what unpacks its argument, the first guess and its bounds."""
+def plan(
+    start: State, gates: list[Gate], walls, limits: Limits, begin: float, guess, iterations: int
+) -> Route:
+    """Route from ``start`` through ``gates``; ``walls`` are those of :func:`bars`."""
     position, velocity, acceleration, duration = (np.array(rows, float) for rows in guess)
     legs = len(gates) + 1
     gate_knots = np.arange(2, 2 * legs + 1, 2)  # the place beyond the last gate is like a gate
@@ -418,9 +335,14 @@ def _problem(start: State, gates: list[Gate], walls, limits: Limits, guess):
         ]
     )
     most = limits.acceleration
-    inf = np.inf
-    counts = [2 * legs, n_gates, 3 * n_gates, 3 * n_mid, 3 * n_mid, 3 * n_mid]
-    lows = [np.log(0.05), 0.5, -most, -inf, -inf, -most]
-    highs = [np.log(4.0), limits.gate_speed, most, inf, inf, most]
-    low_x, high_x = (np.repeat(values, counts) for values in (lows, highs))
-    return cost, unpack, x0, low_x, high_x
+    box = (
+        [(np.log(0.05), np.log(4.0))] * (2 * legs)
+        + [(0.5, limits.gate_speed)] * n_gates
+        + [(-most, most)] * (3 * n_gates)
+        + [(None, None)] * (6 * n_mid)
+        + [(-most, most)] * (3 * n_mid)
+    )
+    best = minimize(
+        cost, x0, jac=True, method="L-BFGS-B", bounds=box, options={"maxiter": iterations}
+    )
+    return Route(*unpack(best.x), begin, float(best.fun))
