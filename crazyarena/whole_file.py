@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -23,7 +24,7 @@ _REFUSALS = FULL | _numbers("EROFS", "EIO", "EACCES", "EPERM", "ENOTDIR", "EISDI
 
 
 @contextlib.contextmanager
-def whole_file(path: Path, sync: bool = True) -> Iterator[BinaryIO]:
+def whole_file(path: Path, sync: bool = True, mode: int | None = None) -> Iterator[BinaryIO]:
     """Open ``<path>.new``; it takes the place of ``path`` when the block ends, at once.
 
     If the block raises, or the disk refuses, what was at ``path`` stays as it was.
@@ -31,6 +32,7 @@ def whole_file(path: Path, sync: bool = True) -> Iterator[BinaryIO]:
     Parameters
     ----------
     sync: wait until the disk has it, so that it outlives a loss of power, too.
+    mode: permissions that it has from the beginning, whatever the umask; the usual ones if None.
 
     Raises
     ------
@@ -46,7 +48,8 @@ def whole_file(path: Path, sync: bool = True) -> Iterator[BinaryIO]:
         return
     unfinished = path.with_name(path.name + ".new")
     try:
-        with open(unfinished, "wb") as stream:
+        opener = None if mode is None else partial(_open_with, mode)
+        with open(unfinished, "wb", opener=opener) as stream:
             yield stream
             stream.flush()
             if sync:
@@ -62,9 +65,9 @@ def whole_file(path: Path, sync: bool = True) -> Iterator[BinaryIO]:
         raise
 
 
-def write_whole(path: Path, text: str | bytes) -> None:
+def write_whole(path: Path, text: str | bytes, mode: int | None = None) -> None:
     """Write a file (UTF-8) in one piece; raises StorageError and leaves what was there."""
-    with whole_file(path) as stream:
+    with whole_file(path, mode=mode) as stream:
         stream.write(text.encode() if isinstance(text, str) else text)
 
 
@@ -73,6 +76,12 @@ def save_figure(figure: Any, path: Path, dpi: float | None = None) -> None:
     options = {} if dpi is None else {"dpi": dpi}
     with whole_file(path, sync=False) as stream:
         figure.savefig(stream, format=path.suffix[1:] or "png", **options)
+
+
+def _open_with(mode: int, path: str, flags: int) -> int:
+    number = os.open(path, flags, mode)
+    os.chmod(path, mode)  # what the umask took, or an older file had
+    return number
 
 
 def is_refusal(error: OSError) -> bool:

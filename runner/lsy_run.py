@@ -27,8 +27,8 @@ from crazyarena.runner.contestant.contract_lsy.dialogue import LsyContestant
 from crazyarena.runner.contestant.contract_lsy.pilot import LsyInProcess
 from crazyarena.runner.contestant.contract_lsy.submission import (
     LsySubmission,
+    controller_file,
     controller_hash,
-    find_controller,
 )
 from crazyarena.runner.contestant.prints import PrintsShown
 from crazyarena.runner.judging.lsy_rules import LsyReferee
@@ -136,24 +136,15 @@ class LsyRun:
                 f"level {self.level.name}: profile arena is flown by crazyarena dry-run, bench "
                 "and fly; an evaluation is one in lsy_drone_racing's own simulation"
             )
-        path = submission.expanduser()
-        if not path.exists():
-            raise InputError(f"{path}: no such file or folder. Pass the file of a controller")
-        file = find_controller(path)
-        if file is None:
-            raise InputError(
-                f"{path}: no class here derives from lsy_drone_racing.control.Controller, which "
-                f"level {level if isinstance(level, str) else level.name} needs. Pass the file "
-                "of such a controller"
-            )
-        self._file = file.resolve()
+        named = level if isinstance(level, str) else level.name
+        self._file = controller_file(submission, named)
         self.seed = self._settled(seed, secret)
         self._episodes = episodes
         if self._seeds:
             self.seed, self._episodes = self._seeds[0], len(self._seeds)
         self.out = out
         self._keep = keep
-        self._path = path
+        self._path = submission.expanduser()
         self._file_of_results: ResultFile | None = None
         self._cut_short: str | None = None
         self._record = record

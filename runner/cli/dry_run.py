@@ -176,30 +176,18 @@ def _flew_lsy(
     if not looks_like and not (level or "").startswith("lsy/"):
         return False
     from crazyarena.errors import InputError, StorageError
-    from crazyarena.levels.lsy import LsyLevel, is_lsy_level
-
-    foreign = level is not None and is_lsy_level(level)
-    if drawn is not None:
-        foreign = isinstance(drawn.level, LsyLevel)
-        level = drawn.level.name
-    if not foreign:
-        from crazyarena.runner.contestant.contract_lsy.submission import find_controller
-
-        if submission is None:
-            return False
-        file = find_controller(submission.expanduser())
-        if file is None:
-            return False
-        if level is not None:
-            raise InputError(
-                f"{file}: a controller of lsy_drone_racing; level {level} is none of its levels. "
-                "Pass --level lsy/level0 ... lsy/level3, or a TOML file"
-            )
-    from crazyarena.levels.lsy import load_lsy_level
+    from crazyarena.levels.lsy import LsyLevel, load_lsy_level
     from crazyarena.levels.lsy.schema import LsyProfile
+    from crazyarena.runner.trial.entry import is_lsy
 
+    wanted: LsyLevel | None = None
+    if drawn is not None:
+        level = drawn.level.name
+        wanted = drawn.level if isinstance(drawn.level, LsyLevel) else None
+    if wanted is None and not is_lsy(submission, level):
+        return False
     if submission is not None:
-        wanted = load_lsy_level(level or "lsy/level0", overrides)
+        wanted = wanted or load_lsy_level(level or "lsy/level0", overrides)
         if wanted.profile is LsyProfile.ARENA:
             return False
     if submission is None:

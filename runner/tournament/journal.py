@@ -106,9 +106,10 @@ def os_write(file: int, data: bytes) -> None:
         view = view[os.write(file, view) :]
 
 
-def full(file: Path, error: OSError, safe: int) -> StorageFull:
+def full(file: Path, why: BaseException | None, safe: int) -> StorageFull:
     """What to say when a result cannot be written."""
+    reason = getattr(why, "strerror", why)
     return StorageFull(
-        f"{file}: cannot write: {error.strerror}. {safe} episodes are safe; make room and start "
-        "again with the same --out"
+        f"{file}: cannot write: {reason}. {safe} episodes are safe; make room and start again with "
+        "the same --out"
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import datetime
 import json
-import os
 import re
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,7 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from crazyarena.errors import InputError
+from crazyarena.errors import InputError, StorageError
 from crazyarena.levels import load_level
 from crazyarena.levels.draw_file import dump_draw
 from crazyarena.levels.lsy import is_lsy_level, load_lsy_level, lsy_text
@@ -26,6 +25,7 @@ from crazyarena.levels.schema import Level, Profile
 from crazyarena.runner.tournament.entries import IROS, LSY, Entry
 from crazyarena.runner.tournament.flight import Order
 from crazyarena.runner.tournament.rules import Lives
+from crazyarena.whole_file import write_whole
 
 FORMAT = 1
 MOST_SEEDS = 10_000
@@ -342,17 +342,7 @@ def write_file(file: Path, data: bytes, mode: int = 0o644) -> None:
     ------
     InputError: no room, or no right to.
     """
-    new = file.with_name(f".{file.name}.new")
     try:
-        with open(os.open(new, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, mode), "wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.chmod(new, mode)
-        os.replace(new, file)
-    except OSError as error:
-        new.unlink(missing_ok=True)
-        raise InputError(
-            f"{file}: cannot write it: {error.strerror}. Make room and start again with the same "
-            "--out"
-        ) from error
+        write_whole(file, data, mode)
+    except StorageError as error:
+        raise InputError(f"{error}. Make room and start again with the same --out") from error

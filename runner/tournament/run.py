@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -11,13 +10,13 @@ from typing import Any
 
 from rich.console import Console
 
-from crazyarena.errors import InputError
+from crazyarena.errors import InputError, StorageError
 from crazyarena.levels.lsy import is_lsy_level
 from crazyarena.runner.tournament.archive import pack
 from crazyarena.runner.tournament.engine import Engine
 from crazyarena.runner.tournament.entries import IROS, LSY, Entry, find_entries
 from crazyarena.runner.tournament.flight import SUBMISSION_ERROR, Flown, Order
-from crazyarena.runner.tournament.journal import Journal, full, os_write
+from crazyarena.runner.tournament.journal import Journal, full
 from crazyarena.runner.tournament.plan import (
     PLAN,
     SUBMISSIONS,
@@ -35,6 +34,7 @@ from crazyarena.runner.tournament.plan import (
 )
 from crazyarena.runner.tournament.rules import Rules, load_rules, parse_rules
 from crazyarena.runner.warm_up import compile_missing, parts_of
+from crazyarena.whole_file import write_whole
 
 DEFAULT_LEVELS = ("level0", "level1", "level2", "level3", "sim2real")
 DEFAULT_LSY_LEVELS = ("lsy/level2",)
@@ -142,20 +142,12 @@ class Tournament:
         return fresh
 
     def _write(self, file: Path, data: bytes) -> None:
-        new = file.with_name(f".{file.name}.new")
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
-            handle = os.open(new, os.O_CREAT | os.O_WRONLY | os.O_TRUNC | os.O_CLOEXEC, 0o644)
-            try:
-                os_write(handle, data)
-                os.fsync(handle)
-            finally:
-                os.close(handle)
-            os.replace(new, file)
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                new.unlink(missing_ok=True)
-            raise full(file, error, len(self.journal.episodes)) from error
+            write_whole(file, data)
+        except (OSError, StorageError) as error:
+            why = error.__cause__ if isinstance(error, StorageError) else error
+            raise full(file, why, len(self.journal.episodes)) from error
 
     def _note_broken(self) -> None:
         """A submission that cannot be read has its episodes, too: none was flown."""

@@ -153,18 +153,9 @@ class EntryLsy:
         from crazyarena.levels.lsy import load_lsy_level
         from crazyarena.levels.lsy.arena import arena_level
         from crazyarena.levels.lsy.draw import fresh_seed
-        from crazyarena.runner.contestant.contract_lsy.submission import find_controller
+        from crazyarena.runner.contestant.contract_lsy.submission import controller_file
 
-        path = submission.expanduser()
-        if not path.exists():
-            raise InputError(f"{path}: no such file or folder. Pass the file of a controller")
-        file = find_controller(path)
-        if file is None:
-            raise InputError(
-                f"{path}: no class here derives from lsy_drone_racing.control.Controller, which "
-                f"level {level} needs. Pass the file of such a controller"
-            )
-        self.path = file.resolve()
+        self.path = controller_file(submission, level)
         self.lsy = load_lsy_level(level, overrides)
         self._source = (str(level), list(overrides))
         seed = self.lsy.env.seed

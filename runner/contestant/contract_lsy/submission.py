@@ -77,6 +77,25 @@ def find_controller(path: Path) -> Path | None:
     return found[0] if found else None
 
 
+def controller_file(submission: Path, level: str) -> Path:
+    """The file, resolved, of a controller that ``level`` needs.
+
+    Raises
+    ------
+    InputError: there is nothing, or nothing that is one.
+    """
+    path = submission.expanduser()
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder. Pass the file of a controller")
+    file = find_controller(path)
+    if file is None:
+        raise InputError(
+            f"{path}: no class here derives from lsy_drone_racing.control.Controller, which level "
+            f"{level} needs. Pass the file of such a controller"
+        )
+    return file.resolve()
+
+
 def bundle_root(file: Path) -> Path:
     """Folder of what belongs to a controller: its package where it is in one, else its own."""
     parent = file.parent

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from crazyarena.errors import CrazyarenaError, InputError
+from crazyarena.errors import CrazyarenaError, InputError, StorageError
 from crazyarena.runner.cli import make_app
 from crazyarena.runner.tournament import worker
 from crazyarena.runner.tournament.engine import Engine, SchedulerLost
@@ -222,18 +222,22 @@ def test_a_disk_that_fills_in_the_middle_loses_nothing(tmp_path, teams, level, m
 
     tournament = open_tournament(tmp_path / "out", teams, [level], {"seeds": 2})
     flown = {f"{team}/short/0": block(team) for team in ("alpha", "bravo", "broken")}
-    write = journal.os_write
+    write, write_whole = journal.os_write, run.write_whole
+    error = OSError(28, "No space left on device")
 
     def full(file, data):
-        if b'"bravo/short/1"' in data or (
-            data == b"recording" and tournament.journal.episodes.get("alpha/short/0")
-        ):
+        if b'"bravo/short/1"' in data:
             os.write(file, data[: len(data) // 2])
-            raise OSError(28, "No space left on device")
+            raise error
         write(file, data)
 
-    for module in (journal, run):
-        monkeypatch.setattr(module, "os_write", full)
+    def full_for(path, data):
+        if tournament.journal.episodes.get("alpha/short/0"):
+            raise StorageError.of(path, error) from error
+        write_whole(path, data)
+
+    monkeypatch.setattr(journal, "os_write", full)
+    monkeypatch.setattr(run, "write_whole", full_for)
     with pytest.raises(CrazyarenaError, match=r"No space left on device.*are safe; make room"):
         tournament.fly(lambda: Fake(flown))  # type: ignore[arg-type,return-value]
     tournament.close()
@@ -241,7 +245,7 @@ def test_a_disk_that_fills_in_the_middle_loses_nothing(tmp_path, teams, level, m
     again = open_tournament(tmp_path / "out", None)
     assert "alpha/short/1" in again.journal.episodes
     assert "bravo/short/0" not in again.journal.episodes
-    assert not list((tmp_path / "out").rglob(".*.new"))
+    assert not list((tmp_path / "out").rglob("*.new"))
     assert [order.team for order in again.missing()] == ["bravo", "broken"]
     assert again.fly(lambda: Fake(flown)) == []  # type: ignore[arg-type,return-value]
     again.close()
