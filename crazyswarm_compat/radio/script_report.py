@@ -146,7 +146,8 @@ class ScriptReport:
                 if vehicle.lost_at is not None:
                     warn(f"{name}: link is back after {event.outage:.1f} s", stacklevel=6)
                 vehicle.back_at = event.time if vehicle.flew else None
-                vehicle.lost_at, vehicle.flew = None, False
+                # That it flew stays: what it tells first may be the lock that ended the flight.
+                vehicle.lost_at = None
             case VehicleRestarted():
                 # What it was doing before it was lost, it was doing when it was restarted.
                 back, vehicle.back_at = vehicle.back_at, None

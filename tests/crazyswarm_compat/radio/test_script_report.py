@@ -7,14 +7,18 @@ import sys
 import threading
 import time
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from crazyarena.clock import VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.guard import FlightEnded
 from crazyarena.crazyswarm_compat.options import CrazyswarmWarning
 from crazyarena.crazyswarm_compat.radio import RadioOptions
+from crazyarena.crazyswarm_compat.radio.events import LinkLost, LinkUp
+from crazyarena.crazyswarm_compat.radio.script_report import ScriptReport
 from tests.sim_backend.crtp.virtual_process import virtual_process
 from tests.waiting import eventually
 
@@ -199,6 +203,30 @@ class TestGone:
         hangar.fleet.send(c.Emergency(), 0)
         script.hears(r"cf1: link lost .* in the air")
         script.ends(r"cf1: has locked itself in flight")
+
+    def test_a_lock_that_is_the_first_word_after_an_outage(self):
+        flying, locked = 1 << 4, LOCKED | 1 << 2
+        latest = SimpleNamespace(supervisor=flying, state=None, timestamp=0.0)
+        link = SimpleNamespace(
+            name="cf1",
+            connected=True,
+            telemetry=SimpleNamespace(latest=latest),
+            outbox=SimpleNamespace(locked=False),
+        )
+        listeners = []
+        events = SimpleNamespace(subscribe=listeners.append)
+        script = Script(
+            SimpleNamespace(
+                script_report=lambda _: ScriptReport({1: link}, events, VirtualClock(), 60.0)
+            )
+        )
+        listeners[0](LinkLost(0.0, 1, "nothing heard for 0.4 s"))
+        script.check()
+        # The link is back and the lock is known before the script looks again.
+        latest.supervisor = locked
+        listeners[0](LinkUp(1.5, 1, 1.5))
+        with pytest.raises(FlightEnded, match="cf1: has locked itself in flight"):
+            script.check()
 
     def test_with_a_guard_it_only_warns(self, world):
         hangar, backend = world(options=self.options)
