@@ -118,9 +118,9 @@ def fly_turned(
 
     flight.clock.on_advance(look)
     outcome = flight.run()
-    about = [event for event in outcome.events if event.rule in _RULES]
-    warned = _first(about, Action.WARN)
-    cut = _first(about, Action.CUT)
+    heading = [event for event in outcome.events if event.rule in _RULES]
+    warned = _first(heading, Action.WARN)
+    cut = _first(heading, Action.CUT)
     at = math.inf if cut is None else cut.time
     _, height, way = next((row for row in seen if row[0] >= at), (0.0, math.nan, math.nan))
     last = cut or warned
@@ -164,8 +164,8 @@ def fly_unguarded(angle: float, seed: int, *, climb: float = 2.0) -> TurnedFligh
         on_frame=[lookout.on_frame],
     )
     start = fleet.true_state(0).position
-    goal = (*(start[:2] + [0.6, 0.3]), 1.0)
-    script = [
+    goal = (start[0] + 0.6, start[1] + 0.3, 1.0)
+    script: list[tuple[float, c.Command]] = [
         (BOOT, c.Takeoff(1.0, climb)),
         (BOOT + climb + 0.3, c.GoTo(goal, angle, 2.0)),
         (BOOT + climb + 2.5, c.Land(0.0, 2.0)),

@@ -40,6 +40,7 @@ class VehicleMemory:
     flying_since: float | None = None
     ending: bool = False
     forwarded: Pose | None = None
+    repeated: int = 0
     setpoint: Point | None = None  # last streamed position
     velocity: Point = (0.0, 0.0, 0.0)
     setpoint_time: float = -math.inf

@@ -634,6 +634,10 @@ def test_poses_nobody_should_believe_are_not_forwarded():
     rig.gate.send_external_poses({9: good})
     assert len(rig.sink.poses) == 1
     assert rig.gate.poses_dropped == 3
+    assert rig.gate.frozen() == []
+    for _ in range(20):
+        rig.gate.send_external_poses({1: Pose(good.position.copy())})
+    assert rig.gate.frozen() == [1]
     # On the ground the vehicle may be carried anywhere; in flight it cannot jump.
     rig.sink.state = state_at((0.0, 0.0, 1.0))
     rig.gate.send_external_poses({1: Pose(np.array([2.0, 0.0, 1.0]))})

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -46,13 +47,13 @@ def free_port(kind: int) -> int:
         return probe.getsockname()[1]
 
 
-@pytest.fixture(scope="module")
-def arena() -> Iterator[list[str]]:
+@contextlib.contextmanager
+def virtual_arena(*options: str) -> Iterator[list[str]]:
     """Flags of a script that finds one virtual vehicle and cameras that see it."""
     endpoint = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
     port = free_port(socket.SOCK_DGRAM)
     command = [sys.executable, "-m", "crazyarena", "virtual-cf", "--port", str(port)]
-    command += ["--mocap-endpoint", endpoint]
+    command += ["--mocap-endpoint", endpoint, *options]
     vehicle = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
@@ -66,24 +67,26 @@ def arena() -> Iterator[list[str]]:
             vehicle.terminate()
 
 
-@pytest.fixture
-def ended(arena, tmp_path):
-    (tmp_path / "list.yaml").write_text(FLEET)
+@pytest.fixture(scope="module")
+def arena() -> Iterator[list[str]]:
+    with virtual_arena("--camera-noise") as flags:
+        yield flags
 
-    def run(ending: str, *flags: str) -> tuple[int, str, str]:
-        (tmp_path / "script.py").write_text(SCRIPT + ending + "\n")
-        done = subprocess.run(
-            [sys.executable, "script.py", *arena, *flags],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=240,
-            stdin=subprocess.DEVNULL,
-            check=False,
-        )
-        return done.returncode, done.stdout, done.stderr
 
-    return run
+def ended(folder: Path, ending: str, *flags: str) -> tuple[int, str, str]:
+    """Run the script in a folder; its exit code, what it printed, and its errors."""
+    (folder / "list.yaml").write_text(FLEET)
+    (folder / "script.py").write_text(SCRIPT + ending + "\n")
+    done = subprocess.run(
+        [sys.executable, "script.py", *flags],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=240,
+        stdin=subprocess.DEVNULL,
+        check=False,
+    )
+    return done.returncode, done.stdout, done.stderr
 
 
 @contextlib.contextmanager
@@ -102,18 +105,27 @@ def busy(count: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("how", ["the last line", "an error"])
-def test_a_script_that_ends_ends_in_order(ended, how):
+def test_a_script_that_ends_ends_in_order(arena, tmp_path, how):
     ending, code = ENDS[how]
-    found, out, errors = ended(ending)
+    found, out, errors = ended(tmp_path, ending, *arena)
     assert (found, out.split()[-1:]) == (code, ["ready"]), errors
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("guard", ["none", "level0"])
 @pytest.mark.parametrize("how", list(ENDS))
-def test_under_load_every_end_is_in_order(ended, how, guard):
+def test_under_load_every_end_is_in_order(arena, tmp_path, how, guard):
     ending, code = ENDS[how]
     with busy(4):
         for _ in range(2):
-            found, out, errors = ended(ending, "--guard", guard)
+            found, out, errors = ended(tmp_path, ending, *arena, "--guard", guard)
             assert (found, out.split()[-1:]) == (code, ["ready"]), errors
+
+
+@pytest.mark.slow
+def test_cameras_without_noise_are_named_as_what_a_guard_takes_for_frozen(tmp_path):
+    with virtual_arena() as flags:
+        code, _, errors = ended(tmp_path, "", *flags, "--guard", "level0")
+    assert code == 1
+    assert "cf1: a guard passes on no pose that repeats the last one to the bit" in errors
+    assert "--camera-noise" in errors
