@@ -113,6 +113,7 @@ class VehicleMemory:
         self.velocity = (0.0, 0.0, 0.0)
         if isinstance(command, c.FullState | c.Position):
             self.setpoint = as_point(command.position)
+            self.heading = float(command.yaw), now
         if isinstance(command, c.FullState):
             self.velocity = as_point(command.velocity)
 
