@@ -36,7 +36,7 @@ _LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 _WINDOW = 0.5  # s
 _LEAST_SAMPLES = 12
-_HURRY, _EASE = 2, 4  # samples after which an unfinished window is looked at, until it is known
+_HURRY, _EASE = 1, 4  # samples after which an unfinished window is looked at, until it is known
 _GAP = 0.15  # s without a sample, after which a window begins anew
 _MEMORY = 0.97  # share of old windows that is kept at each new one
 # rad of turn within a window, above which thrust is no longer what gravity is, and above which a
