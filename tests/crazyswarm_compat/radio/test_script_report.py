@@ -72,6 +72,21 @@ class Script:
         assert re.search(pattern, found[0])
 
 
+def scripted():
+    """A report on a vehicle in flight, what the vehicle tells, and a function for its events."""
+    told = SimpleNamespace(supervisor=FLYING, state=None, timestamp=0.0)
+    link = SimpleNamespace(
+        name="cf1",
+        connected=True,
+        telemetry=SimpleNamespace(latest=told),
+        outbox=SimpleNamespace(locked=False),
+    )
+    listeners = []
+    events = SimpleNamespace(subscribe=listeners.append)
+    report = ScriptReport({1: link}, events, VirtualClock(), 60.0)
+    return Script(SimpleNamespace(script_report=lambda _: report)), told, listeners[0]
+
+
 def fly(hangar, backend):
     backend.prepare()
     backend.send(c.Takeoff(0.5, 1.0), 1)
@@ -217,25 +232,21 @@ class TestGone:
         script.ends(r"cf1: has locked itself in flight")
 
     def test_a_lock_that_is_the_first_word_after_an_outage(self):
-        latest = SimpleNamespace(supervisor=FLYING, state=None, timestamp=0.0)
-        link = SimpleNamespace(
-            name="cf1",
-            connected=True,
-            telemetry=SimpleNamespace(latest=latest),
-            outbox=SimpleNamespace(locked=False),
-        )
-        listeners = []
-        events = SimpleNamespace(subscribe=listeners.append)
-        script = Script(
-            SimpleNamespace(
-                script_report=lambda _: ScriptReport({1: link}, events, VirtualClock(), 60.0)
-            )
-        )
-        listeners[0](LinkLost(0.0, 1, "nothing heard for 0.4 s"))
+        script, told, tell = scripted()
+        tell(LinkLost(0.0, 1, "nothing heard for 0.4 s"))
         script.check()
         # The link is back and the lock is known before the script looks again.
-        latest.supervisor = LOCKED
-        listeners[0](LinkUp(1.5, 1, 1.5))
+        told.supervisor = LOCKED
+        tell(LinkUp(1.5, 1, 1.5))
+        with pytest.raises(FlightEnded, match="cf1: has locked itself in flight"):
+            script.check()
+
+    def test_a_lock_that_is_told_after_the_end_of_the_flight(self):
+        script, told, _ = scripted()
+        script.check()
+        told.supervisor = 0
+        script.check()
+        told.supervisor = LOCKED
         with pytest.raises(FlightEnded, match="cf1: has locked itself in flight"):
             script.check()
 
