@@ -3,6 +3,7 @@ nobody: warnings, and the end of the flight when a vehicle is gone."""
 
 from __future__ import annotations
 
+import math
 import os
 import queue
 import sys
@@ -36,6 +37,7 @@ _REFUSALS = {
 _FLIGHT_VERBS = frozenset({"takeoff", "land", "goTo", "startTrajectory"})
 _DUMB = 3.0  # s without a log packet on a link that answers
 _LOW = 0.15  # m
+_FRESH = 1.0  # s; the word that it flies no more may come some packets before the reason
 _KNOWN_BY = 4.0  # s after which it is known whether a vehicle that is back was restarted
 
 
@@ -46,6 +48,7 @@ class _Vehicle:
         self.link = link
         self.lost_at: float | None = None
         self.flew = False  # when it was lost or fell silent, or is meant to fly since
+        self.flown_at = -math.inf  # when it was last seen to fly
         self.back_at: float | None = None  # after it was lost in flight
         self.restarted = False  # in flight
         self.dumb = False
@@ -196,7 +199,10 @@ class ScriptReport:
         if telemetry.supervisor is None:
             return None
         state = SupervisorState.from_bits(telemetry.supervisor)
-        flew, vehicle.flew = vehicle.flew, _flies(link)
+        flew = vehicle.flew or now - vehicle.flown_at < _FRESH
+        vehicle.flew = _flies(link)
+        if vehicle.flew:
+            vehicle.flown_at = now
         # What the script has asked for is not news.
         if (flew or state.crashed) and state.locked and not link.outbox.locked:
             return (
