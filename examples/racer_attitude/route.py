@@ -19,9 +19,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 SAMPLES = 14  # per piece, for the penalties
+UNSEEN = 0.12  # m, that poles and stands nobody has seen are thought to be thicker
 DEEP = 0.12  # m, that frames nobody has seen are thought to reach before and behind
 BEYOND = 0.5  # m, behind the last gate
 PER_LEG = 15  # unknowns: two durations, speed, acceleration at the gate, 9 of the middle knot
+SWING = 0.4  # m, by which another way round is tried
 SIGHT, SLOWING = 0.75, 0.5  # m, at which gates are seen; on which it slows down before
 SLOW = 0.5  # m/s, the least through a gate
 
@@ -64,10 +66,10 @@ def gates_of(obs) -> list[Gate]:
     return left
 
 
-def bars(gates_pos, gates_quat, obstacles_pos, spread, seen):
+def bars(gates_pos, gates_quat, obstacles_pos, seen, poles_seen):
     """Frames and stands of all gates, and the poles, as capsules: ends (n, 3) twice, radius (n,).
 
-    ``spread`` (m,) is added to the radius of the poles.
+    What has not been seen is thought to be larger.
     """
     ends = []
     for middle, quat, known in zip(np.asarray(gates_pos, float), gates_quat, seen, strict=True):
@@ -81,9 +83,10 @@ def bars(gates_pos, gates_quat, obstacles_pos, spread, seen):
                 (centre - side - up, centre + side - up, 0.08),
                 (centre - side + up, centre + side + up, 0.08),
             ]
-        ends.append((middle - 1.36 * axes[:, 2], middle - 0.36 * axes[:, 2], 0.06))
-    for top, more in zip(np.asarray(obstacles_pos, float), spread, strict=True):
-        ends.append((top * [1, 1, 0], top, 0.015 + more))
+        wide = 0.06 if known else 0.06 + UNSEEN
+        ends.append((middle - 1.36 * axes[:, 2], middle - (wide + 0.3) * axes[:, 2], wide))
+    for top, known in zip(np.asarray(obstacles_pos, float), poles_seen, strict=True):
+        ends.append((top * [1, 1, 0], top, 0.015 if known else 0.015 + UNSEEN))
     start, end, radius = zip(*ends, strict=True)
     return np.array(start), np.array(end), np.array(radius)
 
@@ -234,6 +237,19 @@ def first_guess(
     return knots, np.maximum(chord / 1.3, 0.25)
 
 
+def swung(
+    guess: tuple[np.ndarray, np.ndarray], leg: int, way: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """A guess whose ``leg`` passes elsewhere: to the right, the left, above, below."""
+    knots, duration = (rows.copy() for rows in guess)
+    along = knots[2 * leg + 2, 0] - knots[2 * leg, 0]
+    aside = np.cross(along, [0.0, 0.0, 1.0])
+    aside *= SWING / max(1e-3, float(np.linalg.norm(aside)))
+    up = np.array([0.0, 0.0, SWING])
+    knots[2 * leg + 1, 0] += (aside, -aside, up, -up)[way % 4]
+    return knots, duration
+
+
 class Plan:
     """A route in the making, from ``begin`` (s) and the first knot of ``guess`` through ``gates``.
 
@@ -294,6 +310,12 @@ class Plan:
         return self._f
 
     @property
+    def excess(self) -> np.ndarray:
+        """What breaks a limit on each leg, s (legs,): its cost less its time."""
+        knots, d, _ = self._unpack(self._x)
+        return (d * (self._density(knots, d)[0] - 1.0)).reshape(-1, 2).sum(axis=1)
+
+    @property
     def route(self) -> Route:
         """The best so far."""
         knots, duration, _ = self._unpack(self._x)
@@ -311,6 +333,28 @@ class Plan:
 
     def _cost(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         knots, d, share = self._unpack(x)
+        density, slopes, values, ends, scale = self._density(knots, d)
+        pieces = len(d)
+        by_order = (slopes * values).sum((2, 3)) / SAMPLES  # times d: share of a piece's cost
+        slopes *= ((d / SAMPLES)[:, None] * scale)[:, :, None, None]
+        g_ends = _SAMPLED_T @ slopes.reshape(pieces, 4 * SAMPLES, 3)
+        g_d = density - by_order @ np.arange(4.0)
+        powers = d[:, None] ** _ORDERS
+        g_d += ((g_ends * ends).sum(-1) @ _ORDERS) / d
+        g_ends *= powers[..., None]
+        g_knots = np.zeros_like(knots)
+        g_knots[:-1] += g_ends[:, :3]
+        g_knots[1:] += g_ends[:, 3:]
+        gradient = np.empty((self._legs, PER_LEG))
+        gradient[:, :2] = (g_d * d).reshape(-1, 2)
+        width = self._limits.gate_speed - SLOW
+        gradient[:, 2] = (g_knots[2::2, 1] * self._normals).sum(-1) * width * share * (1.0 - share)
+        gradient[:, 3:6] = g_knots[2::2, 2]
+        gradient[:, 6:] = g_knots[1::2].reshape(-1, 9)
+        return float((d * density).sum()), gradient.ravel()
+
+    def _density(self, knots: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Cost per second of each piece, its slopes by what was looked at, and that itself."""
         pieces = len(d)
         ends = _ends(knots, d)
         scale = (1.0 / d)[:, None] ** np.arange(4)
@@ -329,23 +373,7 @@ class Plan:
         density = 1.0 + cost.mean(axis=1)
         too_fast = 2.0 * _WEIGHTS[0] * over[self._unseen, 0]
         slopes[self._unseen, 0, :, :2] -= too_fast[..., None] * near
-        by_order = (slopes * values).sum((2, 3)) / SAMPLES  # times d: share of a piece's cost
-        slopes *= ((d / SAMPLES)[:, None] * scale)[:, :, None, None]
-        g_ends = _SAMPLED_T @ slopes.reshape(pieces, 4 * SAMPLES, 3)
-        g_d = density - by_order @ np.arange(4.0)
-        powers = d[:, None] ** _ORDERS
-        g_d += ((g_ends * ends).sum(-1) @ _ORDERS) / d
-        g_ends *= powers[..., None]
-        g_knots = np.zeros_like(knots)
-        g_knots[:-1] += g_ends[:, :3]
-        g_knots[1:] += g_ends[:, 3:]
-        gradient = np.empty((self._legs, PER_LEG))
-        gradient[:, :2] = (g_d * d).reshape(-1, 2)
-        width = self._limits.gate_speed - SLOW
-        gradient[:, 2] = (g_knots[2::2, 1] * self._normals).sum(-1) * width * share * (1.0 - share)
-        gradient[:, 3:6] = g_knots[2::2, 2]
-        gradient[:, 6:] = g_knots[1::2].reshape(-1, 9)
-        return float((d * density).sum()), gradient.ravel()
+        return density, slopes, values, ends, scale
 
     def _slow_down(self, points: np.ndarray) -> np.ndarray:
         """Lower the bounds of speed before gates that nobody has seen; their gradient by place."""

@@ -7,7 +7,7 @@ that is flown a little later on, at the very place, speed and acceleration it ha
 from __future__ import annotations
 
 import numpy as np
-from route import Limits, Plan, Route, Walls, bars, first_guess, gates_of
+from route import Limits, Plan, Route, Walls, bars, first_guess, gates_of, swung
 
 TAKE_OFF = 0.4  # s, straight up, while the rotors begin to turn
 LIFT, LIFT_LATE = 4.0, 0.12  # m/s2, s
@@ -16,13 +16,13 @@ ROUGH, FINE = 100, 600  # routes looked at before the start: for each guess, for
 A_STEP = 18  # routes looked at in a step
 STEPS = 3  # that a plan is worked on before it is flown
 CLOSE = 0.14  # s, before a gate, in which the route stays as it is
-ROUNDS = 3  # plans one after the other, each from where the last begins
+ROUNDS = 2  # further plans, each from where the last begins
+SOUND, WAYS = 0.5, 5  # s, that a leg may cost more than it lasts; other ways round it to try
 GAIN = 0.02  # s, that make one more of them worth while
 LOST = 0.3  # s, after which a gate that should have been passed is flown to once more
 BRAKES = 0.6  # s, that it takes to stand still then
 YAW_RATE = 1.5  # rad/s
 MOVED = 0.005  # m, of anything in sight, that makes it plan anew
-UNSEEN = 0.12  # m, that poles nobody has seen are thought to be thicker
 
 
 class Navigator:
@@ -35,10 +35,16 @@ class Navigator:
         self.start = np.array(obs["pos"], float)
         self.yaw = 0.0
         self.plan, self.round, self.rest = None, 0, None
-        lifted = self._lifted(TAKE_OFF)
-        best = self._best(lifted, obs, TAKE_OFF)
+        best = self._best(self._lifted(TAKE_OFF), obs, TAKE_OFF)
         best.improve(FINE)
-        self.route, self.curvature = best.route, best.curvature
+        for way in range(WAYS):
+            if best.excess.max() < SOUND:
+                break
+            guess = swung((best.route.knots, best.route.duration), int(best.excess.argmax()), way)
+            other = Plan(gates_of(obs), self._walls(obs), self.limits, TAKE_OFF, guess)
+            other.improve(FINE // 2)
+            best = min(best, other, key=lambda plan: plan.cost)
+        self._fly(best)
 
     def _best(self, start, obs, begin):
         """The best of several first guesses."""
@@ -57,9 +63,8 @@ class Navigator:
         ).astype(float)
 
     def _walls(self, obs):
-        spread = np.where(obs["obstacles_visited"], 0.0, UNSEEN)
-        gates = obs["gates_pos"], obs["gates_quat"]
-        return Walls(*bars(*gates, obs["obstacles_pos"], spread, obs["gates_visited"]))
+        keys = "gates_pos", "gates_quat", "obstacles_pos", "gates_visited", "obstacles_visited"
+        return Walls(*bars(*(obs[key] for key in keys)))
 
     def _lifted(self, t):
         """Reference while it takes off."""
@@ -96,6 +101,7 @@ class Navigator:
         if self.rest is not None:
             guess = first_guess(self.rest, gates, *SWINGS[0])
             self.plan = Plan(gates, self._walls(obs), self.limits, self.route.end, guess)
+            self.price = np.inf
             return
         begin = max(t + STEPS * self.period, self.route.begin)
         # The route may be past a gate that the drone has not quite reached.
@@ -108,17 +114,30 @@ class Navigator:
         self.plan = None
         if not gates:
             return
-        knots, duration = self.route.left_at(begin, len(gates))
-        self.plan = Plan(
-            gates, self._walls(obs), self.limits, begin, (knots, duration), self.curvature
-        )
-        self.round = number
+        guess, walls = self.route.left_at(begin, len(gates)), self._walls(obs)
+        plan = Plan(gates, walls, self.limits, begin, guess, self.curvature)
+        self.price = np.inf
+        if number and plan.excess.max() > SOUND:
+            # Round by round another way round what is in the way.
+            self.price = plan.cost - GAIN
+            guess = swung(guess, int(plan.excess.argmax()), number - 1)
+            plan = Plan(gates, walls, self.limits, begin, guess, self.curvature)
+        self.plan, self.round = plan, number
 
     def _adopt(self, obs, t, gates):
         plan, self.plan, self.rest = self.plan, None, None
-        self.route, self.curvature = plan.route, plan.curvature
-        if self.round + 1 < ROUNDS and plan.at_first - plan.cost > GAIN:
+        if plan.cost >= self.price:
+            # The other way round is no better.
+            if self.round < WAYS:
+                self._begin(obs, t, gates, self.round + 1)
+            return
+        self._fly(plan)
+        better = plan.at_first - plan.cost > GAIN and self.round < ROUNDS
+        if better or (self.excess.max() > SOUND and self.round < WAYS):
             self._begin(obs, t, gates, self.round + 1)
+
+    def _fly(self, plan):
+        self.route, self.curvature, self.excess = plan.route, plan.curvature, plan.excess
 
     def _brake(self, obs, t, gates):
         """Come to rest, and plan from there."""
