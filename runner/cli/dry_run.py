@@ -195,6 +195,7 @@ def _flew_lsy(
             f"level {level}: pass the file of a lsy_drone_racing controller, such as "
             "examples/racer_state/racer_state.py"
         )
+    assert wanted is not None
     if view is not None:
         raise InputError(
             "--view: flights of lsy_drone_racing are not shown live; leave it out, and then: "
@@ -219,7 +220,7 @@ def _flew_lsy(
     console = Console()
     run = LsyRun(
         submission,
-        drawn.level if drawn is not None else level or "lsy/level0",  # type: ignore[arg-type]
+        wanted,
         overrides,
         episodes=episodes or 1,
         seed=seed,
