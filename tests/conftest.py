@@ -17,6 +17,7 @@ settings.load_profile("crazyarena")
 # Tests that fly or talk in wall time. They assert what happens, not how fast; but a machine that
 # stalls for seconds makes the vehicle under test do what it should on a lost link.
 _REALTIME = (
+    "crazyswarm_compat/radio/test_exit.py",
     "crazyswarm_compat/radio/test_flight.py",
     "crazyswarm_compat/radio/test_hardware_doc.py",
     "crazyswarm_compat/radio/test_link.py",
