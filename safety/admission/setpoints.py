@@ -26,13 +26,13 @@ def full_state(
     if place != asked:
         # A setpoint held back must not go on pushing outwards.
         velocity, acceleration = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    omega = room.slowed(as_point(m.omega), reasons, "body rate", 30.0)
     motion = room.motion(memory.vehicle)
     if motion is not None:
-        slower = room.link_loss.full_state(*motion, place, velocity, acceleration)
+        slower = room.link_loss.full_state(motion, place, velocity, acceleration, omega)
         if slower is not None:
             reasons.append(OUT_IF_LOST)
-            place, velocity = slower
-    omega = room.slowed(as_point(m.omega), reasons, "body rate", 30.0)
+            place, velocity, omega = slower
     if not reasons:
         return m, reasons
     return c.FullState(place, velocity, acceleration, float(m.yaw), omega), reasons
@@ -46,7 +46,7 @@ def position(
     place = room.reachable(place, memory, now, reasons)
     motion = room.motion(memory.vehicle)
     if motion is not None:
-        nearer = room.link_loss.position(*motion, place)
+        nearer = room.link_loss.position(motion, place)
         if nearer is not None:
             reasons.append(OUT_IF_LOST)
             place = nearer
