@@ -6,9 +6,7 @@ import contextlib
 import datetime
 import json
 import math
-import signal
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +28,7 @@ from crazyarena.runner.contestant.contract_lsy.submission import (
     controller_file,
     controller_hash,
 )
+from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.contestant.prints import PrintsShown
 from crazyarena.runner.judging.lsy_rules import LsyReferee
 from crazyarena.runner.judging.result import (
@@ -187,7 +186,8 @@ class LsyRun:
                 self.isolated = bool(contestant.description["isolated"])
                 if not self._sandbox:
                     stack.callback(PrintsShown(lambda: True).close)
-                stack.enter_context(_terminable())
+                # Thinking costs no time here, so there is no step to wait for.
+                stack.enter_context(stack.enter_context(Interrupt()).at_once())
                 for index, random in enumerate(randoms):
                     result = self._episode(index, contestant, world, referee, random.reset())
                     outcome.episodes.append(result)
@@ -316,24 +316,6 @@ def summary(result: LsyResult) -> dict[str, Any]:
         "episodes_requested": result.requested,
         "seed": result.seed,
     }
-
-
-@contextlib.contextmanager
-def _terminable() -> Iterator[None]:
-    """SIGTERM and a closed terminal end a run as Ctrl-C does."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {}
-    for name in ("SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-            before[number] = signal.signal(number, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _remove_if_empty(folder: Path) -> None:

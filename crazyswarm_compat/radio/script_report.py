@@ -49,7 +49,8 @@ class _Vehicle:
         self.lost_at: float | None = None
         self.flew = False  # when it was lost or fell silent, or is meant to fly since
         self.flown_at = -math.inf  # when it was last seen to fly
-        self.back_at: float | None = None  # after it was lost in flight
+        self.up_at = -math.inf  # since when it has been in reach
+        self.back_at: float | None = None  # likewise, where it was lost in flight
         self.restarted = False  # in flight
         self.dumb = False
         self.ended = False
@@ -148,6 +149,7 @@ class ScriptReport:
             case LinkUp():
                 if vehicle.lost_at is not None:
                     warn(f"{name}: link is back after {event.outage:.1f} s", stacklevel=6)
+                vehicle.up_at = event.time
                 vehicle.back_at = event.time if vehicle.flew else None
                 # That it flew stays: what it tells first may be the lock that ended the flight.
                 vehicle.lost_at = None
@@ -211,7 +213,7 @@ class ScriptReport:
             )
         if flew and (state.crashed or state.tumbled):
             return "has crashed or lies on its back"
-        if link.connected and now - telemetry.timestamp > _DUMB:
+        if link.connected and now - max(telemetry.timestamp, vehicle.up_at) > _DUMB:
             if not vehicle.dumb:
                 vehicle.dumb = True
                 if _flies(link):

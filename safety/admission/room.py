@@ -13,7 +13,7 @@ from crazyarena.safety.attitude_path import AttitudeLoss
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.flight_model import GRAVITY
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.link_loss import LinkLoss, largest_share
+from crazyarena.safety.link_loss import LinkLoss, Moving, largest_share
 from crazyarena.safety.observation import LAG, Point, as_point
 from crazyarena.safety.planner import Motion
 from crazyarena.types import VehicleState
@@ -99,10 +99,10 @@ class Room:
         last = (bad - 1) / steps
         return last + largest_share(lambda part: good(last + part / steps), 6) / steps
 
-    def motion(self, vehicle: int) -> tuple[Point, Point] | None:
-        """Place and velocity for the look at link losses; None if off, or nobody knows them."""
+    def motion(self, vehicle: int) -> Moving | None:
+        """How the vehicle moves, for the look at link losses; None if off, or nobody knows."""
         state = self.state(vehicle) if self.link_loss.on else None
-        return None if state is None else (as_point(state.position), as_point(state.velocity))
+        return None if state is None else self.link_loss.seen(state)
 
     def inside(self, point: Point, vehicle: int, reasons: list[str], what: str) -> Point:
         margin = self.fence.soft_margin

@@ -26,15 +26,15 @@ def full_state(
     if place != asked:
         # A setpoint held back must not go on pushing outwards.
         velocity, acceleration = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    omega = room.slowed(as_point(m.omega), reasons, "body rate", 30.0)
     motion = room.motion(memory.vehicle)
     if motion is not None:
-        slower = room.link_loss.full_state(*motion, place, velocity, acceleration)
+        slower = room.link_loss.full_state(motion, place, velocity, acceleration, omega)
         if slower is not None:
             reasons.append(OUT_IF_LOST)
-            place, velocity = slower
+            place, velocity, omega = slower
     place = room.upright(place, memory, reasons, velocity, acceleration)
     yaw = room.facing(float(m.yaw), memory, now, reasons)
-    omega = room.slowed(as_point(m.omega), reasons, "body rate", 30.0)
     if not reasons:
         return m, reasons
     return c.FullState(place, velocity, acceleration, yaw, omega), reasons
@@ -49,7 +49,7 @@ def position(
     place = room.upright(place, memory, reasons)
     motion = room.motion(memory.vehicle)
     if motion is not None:
-        nearer = room.link_loss.position(*motion, place)
+        nearer = room.link_loss.position(motion, place)
         if nearer is not None:
             reasons.append(OUT_IF_LOST)
             place = nearer

@@ -72,7 +72,7 @@ class Script:
         assert re.search(pattern, found[0])
 
 
-def scripted():
+def scripted(clock=None):
     """A report on a vehicle in flight, what the vehicle tells, and a function for its events."""
     told = SimpleNamespace(supervisor=FLYING, state=None, timestamp=0.0)
     link = SimpleNamespace(
@@ -83,7 +83,7 @@ def scripted():
     )
     listeners = []
     events = SimpleNamespace(subscribe=listeners.append)
-    report = ScriptReport({1: link}, events, VirtualClock(), 60.0)
+    report = ScriptReport({1: link}, events, clock or VirtualClock(), 60.0)
     return Script(SimpleNamespace(script_report=lambda _: report)), told, listeners[0]
 
 
@@ -248,6 +248,17 @@ class TestGone:
         script.check()
         told.supervisor = LOCKED
         with pytest.raises(FlightEnded, match="cf1: has locked itself in flight"):
+            script.check()
+
+    def test_a_vehicle_that_is_back_has_time_to_speak(self):
+        clock = VirtualClock()
+        script, _, tell = scripted(clock)
+        tell(LinkLost(0.0, 1, "nothing heard for 0.4 s"))
+        clock.sleep_until(4.0)
+        tell(LinkUp(4.0, 1, 4.0))
+        script.check()
+        clock.sleep_until(7.1)
+        with pytest.raises(FlightEnded, match="answers, but tells nothing any more"):
             script.check()
 
     def test_with_a_guard_it_only_warns(self, world):
