@@ -136,7 +136,10 @@ OTHERS: dict[str, tuple[Callable[[], None], str]] = {
     ),
     "pushed": (_without(CommandGate, "pushed", lambda self, vehicle: None), "test_attitudes.py"),
     # The stop socket: nobody puts it back, strangers are heeded, hung programs are waited for.
-    "mend": (_without(estop_socket._Door, "mend", lambda self: None), "test_estop_socket.py"),
+    "mend": (
+        _without(estop_socket._Door, "mend", lambda self: None),
+        "safety/test_estop_socket.py::test_a_socket_that_was_removed_is_put_back",
+    ),
     "strangers_stop": (
         _without(estop_socket, "sender_of", lambda extra: os.getuid() + 1),
         "test_estop_socket.py",

@@ -35,7 +35,7 @@ def run_suite(mutation: str) -> subprocess.CompletedProcess[str]:
         env={**os.environ, "SAFETY_MUTATION": mutation, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=900,
     )
 
 
