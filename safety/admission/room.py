@@ -25,9 +25,10 @@ _PEAK_ACCELERATION = 7.5132
 _VELOCITY_HORIZON = 0.5  # s of a velocity setpoint that have to end inside the fence
 _MEMORY = 0.5  # s after which the last setpoint no longer bounds the next
 _MOST_LAG = 0.4  # m
-# rad/s and cosine of a tilt, above which a vehicle needs its motors to be upright; rad and rad/s by
-# which it may be turned then.
-_TIPS, _LEANS, _FACES, _YAWS = 2.0, 0.9, 0.2, 1.0
+# rad/s and cosine of a tilt, above which a vehicle needs its motors to be upright; what it may be
+# asked to climb with then, of what they have over the weight (racers ask for all of it at times);
+# rad and rad/s by which it may be turned.
+_TIPS, _LEANS, _AMPLE, _FACES, _YAWS = 2.0, 0.9, 1.5, 0.2, 1.0
 _WAY_STEP = 0.025  # m, between looks along a way
 OUT_IF_LOST = "it would carry the vehicle out of the fence if the link were lost now"
 
@@ -213,11 +214,11 @@ class Room:
         if state is None or not model.follows_velocity:
             return point
         height, climb = float(state.position[2]), float(state.velocity[2])
-        spare = GRAVITY * (model.lift - 1.0) - model.feed[2] * acceleration[2]
-        spare -= model.damping[2] * (velocity[2] - climb)
-        highest = height + max(0.0, spare) / model.stiffness[2]
-        if point[2] <= highest:
+        spare, stiffness = GRAVITY * (model.lift - 1.0), model.stiffness[2]
+        taken = model.feed[2] * acceleration[2] + model.damping[2] * (velocity[2] - climb)
+        if taken + stiffness * (point[2] - height) <= _AMPLE * spare:
             return point
+        highest = min(point[2], height + max(0.0, spare - taken) / stiffness)
         reasons.append(
             f"height {point[2]:.2f} m takes all thrust while the vehicle leans or tips, "
             f"{highest:.2f} m for now"
