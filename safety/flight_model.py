@@ -44,6 +44,11 @@ class FlightModel:
     agility: m/s2, the strongest horizontal acceleration, at constant height, that controller and
         motors allow.
     tilting, thrusting: s, until a tilt, a thrust asked for is there (first-order lags).
+    swinging: rad/s and damping ratio with which a tilt swings to what is asked for.
+    lean: s, tilt (rad) that it keeps for every rad/s of a body rate that it is told and that its
+        way does not need: kw over twice kR of Mellinger's attitude loop, whose error is twice the
+        sine of the angle. The PID heeds none.
+    drag: 1/s, share of its speed that the air takes.
     low: m by which it hovers below its setpoint.
     lift: all that the motors can lift over the weight.
     spent: V under load, at which they hardly lift the weight any more.
@@ -57,6 +62,9 @@ class FlightModel:
     agility: float = 11.472
     tilting: float = 0.176
     thrusting: float = 0.08
+    swinging: tuple[float, float] = (13.5, 0.85)
+    lean: float = 0.1429
+    drag: float = 0.409
     low: float = 0.0305
     lift: float = 1.5387
     spent: float = 2.585

@@ -2,20 +2,23 @@
 
 The firmware keeps the last setpoint for half a second, then levels out and coasts, and is cut by
 its emergency-stop watchdog a second after it was last fed (Crazyflie firmware, ``supervisor``).
-Until it levels out it is the damped spring of :mod:`~crazyarena.safety.flight_model`,
+Until it levels out it is the damped spring of :mod:`~crazyarena.safety.flight_model`, with a tilt
+that swings to what is asked for, and with the tilt that it has now:
 
-    x'' = b,    tau b' = f a + k (p - x) + c (s v - x') - b
+    v' = b,    b'' = w^2 (f a + k (p - x) + c (s v_p - v) - b) - 2 z w b'
 
-which settles at u = p + (s c v + f a) / k. Nothing else of the setpoint matters, and where the
-vehicle ends is linear in u. It coasts as if there were no air: the estimator on board knows none,
-and takes the tilt that makes up for drag for level.
+which settles at u = p + (s c v_p + f a) / k. Nothing else of the setpoint matters but the body
+rates that are told with it: the firmware keeps them when it levels out, and Mellinger's attitude
+loop holds a tilt against them, ``lean`` times what they are. Where it ends is linear in all
+of it. It coasts as if there were no air: the estimator on board knows none, and takes the tilt that
+makes up for drag for level.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import expm
@@ -23,36 +26,99 @@ from scipy.linalg import expm
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.flight_model import GRAVITY, FlightModel
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.observation import Point
+from crazyarena.safety.observation import Point, as_point
+from crazyarena.types import VehicleState
+
+Pair = tuple[float, float]
 
 _HOLD = 0.5  # s for which the firmware keeps a setpoint
 _CUT = 1.0  # s until its emergency-stop watchdog, no longer fed, stops the motors
-_LEVELLING_TIME = 0.08  # s, of the last push; found in simulation, and rather short
 _BISECTIONS = 10
 _PLAN_SAMPLES = 16
 _STRETCH, _STRETCHES = 1.15, 24  # up to 25 times as long
 _ORIGIN = (0.0, 0.0, 0.0)
+_LOOKS = (0.1, 0.4)  # s after it levels out, and after that, at which its place is looked at
+_LEFT = 1.5  # times that tilt is what a vehicle flies with that has no poses, found in simulation
+_MOST_SWING = 30.0  # m/s3; more than that is noise of the cameras
 
 
 @dataclass(frozen=True, slots=True)
-class _Response:
-    """Place, speed and push after some time, each a multiple of (distance to u, speed) now."""
+class Moving:
+    """How a vehicle moves: place m, velocity m/s; sideways also push (m/s2) and swing (m/s3), what
+    its tilt, beyond what makes up for drag, and the change of that make of gravity; heading rad."""
 
-    place_place: float
-    place_speed: float
-    speed_place: float
-    speed_speed: float
-    push_place: float
-    push_speed: float
+    place: Point
+    velocity: Point
+    push: Pair = (0.0, 0.0)
+    swing: Pair = (0.0, 0.0)
+    heading: float = 0.0
 
     @classmethod
-    def after(cls, time: float, stiffness: float, damping: float, lag: float) -> _Response:
-        """Of e'' = b, lag b' = -k e - c e' - b, from b = 0."""
-        rates = np.array(
-            [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-stiffness / lag, -damping / lag, -1.0 / lag]]
+    def of(cls, state: VehicleState, most: float, drag: float) -> Moving:
+        """As a state tells it; ``most`` m/s2 is what a vehicle can be pushed with; ``drag`` 1/s."""
+        x, y, z, w = (float(value) for value in state.quaternion)
+        up = max(1.0 - 2.0 * (x * x + y * y), 0.3)
+        heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        velocity = as_point(state.velocity)
+        push = (
+            2.0 * GRAVITY * (x * z + w * y) / up - drag * velocity[0],
+            2.0 * GRAVITY * (y * z - w * x) / up - drag * velocity[1],
         )
-        m = expm(rates * time)
-        return cls(*(float(m[row, column]) for row in range(3) for column in range(2)))
+        rates = float(state.angular_velocity[0]), float(state.angular_velocity[1])
+        swing = turned(GRAVITY * rates[1], -GRAVITY * rates[0], heading)
+        return cls(
+            as_point(state.position),
+            velocity,
+            _at_most(push, most),
+            _at_most(swing, _MOST_SWING),
+            heading,
+        )
+
+    def after(self, time: float) -> Moving:
+        """A moment later."""
+        (x, y, z), (vx, vy, vz), (ax, ay) = self.place, self.velocity, self.push
+        place = x + time * (vx + 0.5 * time * ax), y + time * (vy + 0.5 * time * ay), z + time * vz
+        return replace(self, place=place, velocity=(vx + time * ax, vy + time * ay, vz))
+
+
+@dataclass(frozen=True, slots=True)
+class _Sideways:
+    """Places after 0.25, 0.5, 0.6 and 1.0 s, and the speed then: rows of multiples of the distance
+    to u, speed, push and swing now, and of the push that is left after levelling out."""
+
+    rows: tuple[tuple[float, float, float, float, float], ...]
+
+    @classmethod
+    def of(cls, model: FlightModel) -> _Sideways:
+        k, c = model.stiffness[0], model.damping[0]
+        w, z = model.swinging
+        held = np.zeros((5, 5))
+        held[0, 1] = held[1, 2] = held[2, 3] = 1.0
+        level = held.copy()
+        held[3, :4] = -k * w * w, -c * w * w, -w * w, -2.0 * z * w
+        level[3, 2:] = -w * w, -2.0 * z * w, _LEFT * w * w
+        half = expm(0.5 * _HOLD * held)
+        states = [half, half @ half]
+        for gap in _LOOKS:
+            states.append(expm(gap * level) @ states[-1])
+        rows = [state[0] for state in states] + [states[-1][1]]
+        return cls(tuple(tuple(float(value) for value in row) for row in rows))  # type: ignore[misc]
+
+    def ways(
+        self, away: float, speed: float, push: float, swing: float, left: float
+    ) -> list[float]:
+        """The rows' sums, m from u, and m/s at last."""
+        return [
+            a * away + b * speed + c * push + d * swing + e * left for a, b, c, d, e in self.rows
+        ]
+
+
+def _upwards(model: FlightModel, time: float) -> tuple[float, float]:
+    """Height after some time, a multiple of (distance to u, speed) now: e'' = b and
+    lag b' = -k e - c e' - b, from b = 0."""
+    k, c, lag = model.stiffness[2], model.damping[2], model.thrusting
+    m = expm(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-k / lag, -c / lag, -1.0 / lag]]) * time)
+    return float(m[0, 0]), float(m[0, 1])
 
 
 class LinkLoss:
@@ -64,41 +130,47 @@ class LinkLoss:
         self._delay = limits.link_delay
         model = limits.vehicle
         self._model = model
-        self._halfway = _responses(model, 0.5 * _HOLD)
-        self._levelling = _responses(model, _HOLD)
+        self._sideways = _Sideways.of(model)
+        self._heights = _upwards(model, 0.5 * _HOLD), _upwards(model, _HOLD)
 
     @property
     def on(self) -> bool:
         """Whether the limits ask for this at all."""
         return math.isfinite(self._margin)
 
-    def excess(self, place: Point, moving: Point, rest: Point, lift: float = 0.0) -> float:
+    def seen(self, state: VehicleState) -> Moving:
+        """How a vehicle moves, by what is believed of it."""
+        return Moving.of(state, self._model.strongest, self._model.drag)
+
+    def excess(
+        self, moving: Moving, rest: Point, left: Pair = (0.0, 0.0), lift: float = 0.0
+    ) -> float:
         """How far beyond the hard fence, m, the vehicle gets; negative inside.
 
         Parameters
         ----------
-        place, moving: m, m/s, of the vehicle when the last setpoint reaches it.
+        moving: the vehicle when the last setpoint reaches it.
         rest: m, where that setpoint would bring it to rest (u of the module's text).
+        left: m/s2, push that the body rates of that setpoint leave it with.
         lift: m, by which it rises over that once the firmware levels it out, which keeps height
             and vertical speed of the setpoint, but not its acceleration.
         """
         model = self._model
-        rest = (rest[0], rest[1], rest[2] + max(0.0, -model.low))
-        halfway = _moved(place, moving, rest, self._halfway)
-        levelling = _moved(place, moving, rest, self._levelling)
-        # Of the tilt that is left something goes on pushing until it is level.
-        speed = [
-            (r.speed_place + _LEVELLING_TIME * r.push_place) * (p - u)
-            + (r.speed_speed + _LEVELLING_TIME * r.push_speed) * v
-            for p, u, v, r in zip(place, rest, moving, self._levelling, strict=True)
-        ]
+        ux, uy, uz = rest
+        uz += max(0.0, -model.low)
+        (x, y, z), (vx, vy, vz) = moving.place, moving.velocity
+        ways_x = self._sideways.ways(x - ux, vx, moving.push[0], moving.swing[0], left[0])
+        ways_y = self._sideways.ways(y - uy, vy, moving.push[1], moving.swing[1], left[1])
         # Level, it keeps its height; cut, it falls.
-        height = rest[2] + lift
-        coasting = _CUT - _HOLD + math.sqrt(2.0 * max(height, 0.0) / GRAVITY)
-        x, y, _ = levelling
-        down = (x + coasting * speed[0], y + coasting * speed[1], height)
-        between = (x + 0.5 * coasting * speed[0], y + 0.5 * coasting * speed[1], height)
-        return -min(self._room(point) for point in (halfway, levelling, between, down))
+        height = uz + lift
+        heights = [uz + a * (z - uz) + b * vz for a, b in self._heights] + [height, height]
+        room = min(
+            self._room((ux + a, uy + b, h))
+            for a, b, h in zip(ways_x[:4], ways_y[:4], heights, strict=True)
+        )
+        fall = math.sqrt(2.0 * max(height, 0.0) / GRAVITY)
+        down = ux + ways_x[3] + fall * ways_x[4], uy + ways_y[3] + fall * ways_y[4], height
+        return -min(room, self._room(down))
 
     def velocity_excess(self, place: Point, velocity: Point) -> float:
         """The same for a vehicle told to keep a velocity, m/s."""
@@ -139,49 +211,93 @@ class LinkLoss:
         return best
 
     def position(
-        self, place: Point, moving: Point, position: Point, lift: float = 0.0
+        self, moving: Moving, position: Point, left: Pair = (0.0, 0.0), lift: float = 0.0
     ) -> Point | None:
         """Position setpoint that may be told instead of this one; None if it is good as is."""
-        place = _along(place, moving, self._delay)
-        ahead = _minus(position, place)
+        later = moving.after(self._delay)
+        ahead = _minus(position, later.place)
         share = self._share(
-            lambda share: self.excess(place, moving, _along(place, ahead, share), lift)
+            lambda share: self.excess(later, _along(later.place, ahead, share), left, lift)
         )
-        return None if share >= 1.0 else _along(place, ahead, share)
+        return None if share >= 1.0 else _along(later.place, ahead, share)
 
     def full_state(
-        self, place: Point, moving: Point, position: Point, velocity: Point, acceleration: Point
-    ) -> tuple[Point, Point] | None:
-        """Position and velocity that a full-state setpoint may have; None if it is good as it is.
+        self,
+        moving: Moving,
+        position: Point,
+        velocity: Point,
+        acceleration: Point,
+        omega: Point = _ORIGIN,
+    ) -> tuple[Point, Point, Point] | None:
+        """Position, velocity and body rates that a full-state setpoint may have; None if it is
+        good as it is.
 
-        Of a setpoint only u matters, and its velocity is what can be changed without a step in
-        where the vehicle is to be; its position only if the controller heeds nothing else.
+        Body rates go first: what they are good for is the time of a step. Of the rest only u
+        matters, and a setpoint's velocity is what can be changed without a step in where the
+        vehicle is to be; its position only if the controller heeds nothing else.
         """
         model = self._model
-        rest = self.rest(position, velocity, acceleration)
         lift = -model.feed[2] * acceleration[2] / model.stiffness[2]
-        allowed = self.position(place, moving, rest, lift)
+        kept = self._rates(moving, position, velocity, acceleration, omega, lift)
+        left = self.left(kept, moving.heading)
+        rest = self.rest(position, velocity, acceleration, left)
+        allowed = self.position(moving, rest, left, lift)
         if allowed is None:
-            return None
+            return None if kept is omega else (position, velocity, kept)
         if not model.follows_velocity:
-            return _along(position, _minus(allowed, rest), 1.0), velocity
+            return _along(position, _minus(allowed, rest), 1.0), velocity, kept
         x, y, z = (
             v + (allow - u) * k / c
             for v, u, allow, k, c in zip(
                 velocity, rest, allowed, model.stiffness, model.damping, strict=True
             )
         )
-        return position, (x, y, z)
+        return position, (x, y, z), kept
 
-    def rest(self, position: Point, velocity: Point, acceleration: Point) -> Point:
+    def _rates(
+        self,
+        moving: Moving,
+        position: Point,
+        velocity: Point,
+        acceleration: Point,
+        omega: Point,
+        lift: float,
+    ) -> Point:
+        """The largest share of body rates that ends inside; all or nothing if none does."""
+        later = moving.after(self._delay)
+
+        def excess(share: float) -> float:
+            left = self.left(_along(_ORIGIN, omega, share), moving.heading)
+            return self.excess(later, self.rest(position, velocity, acceleration, left), left, lift)
+
+        if not (self._model.lean and (omega[0] or omega[1])):
+            return omega
+        asked, none = excess(1.0), excess(0.0)
+        if asked <= self._margin or asked <= none:
+            return omega
+        x, y, z = omega
+        share = 0.0
+        if none <= self._margin:
+            share = largest_share(lambda share: excess(share) <= self._margin, _BISECTIONS)
+        return share * x, share * y, z
+
+    def left(self, omega: Point, heading: float) -> Pair:
+        """m/s2, push of the tilt that is held against body rates (rad/s) of a setpoint."""
+        size = self._model.lean * GRAVITY
+        return _at_most(turned(size * omega[1], -size * omega[0], heading), self._model.strongest)
+
+    def rest(
+        self, position: Point, velocity: Point, acceleration: Point, left: Pair = (0.0, 0.0)
+    ) -> Point:
         """m, where a full-state setpoint brings the vehicle to rest: u of the module's text."""
         model = self._model
         x, y, z = (
-            p + (c * v * model.follows_velocity + f * a) / k
-            for p, v, a, k, c, f in zip(
+            p + (c * v * model.follows_velocity + f * a + b) / k
+            for p, v, a, b, k, c, f in zip(
                 position,
                 velocity,
                 acceleration,
+                (*left, 0.0),
                 model.stiffness,
                 model.damping,
                 model.feed,
@@ -225,20 +341,17 @@ def largest_share(good: Callable[[float], bool], steps: int) -> float:
     return low
 
 
-def _moved(place: Point, moving: Point, rest: Point, responses: list[_Response]) -> Point:
-    x, y, z = (
-        u + r.place_place * (p - u) + r.place_speed * v
-        for p, u, v, r in zip(place, rest, moving, responses, strict=True)
-    )
-    return x, y, z
+def turned(x: float, y: float, heading: float) -> Pair:
+    """A vector of the body's level axes in the world's."""
+    sin, cos = math.sin(heading), math.cos(heading)
+    return cos * x - sin * y, sin * x + cos * y
 
 
-def _responses(model: FlightModel, time: float) -> list[_Response]:
-    lags = (model.tilting, model.tilting, model.thrusting)
-    return [
-        _Response.after(time, k, c, lag)
-        for k, c, lag in zip(model.stiffness, model.damping, lags, strict=True)
-    ]
+def _at_most(pair: Pair, limit: float) -> Pair:
+    size = math.hypot(*pair)
+    if not size > limit:
+        return pair
+    return pair[0] * limit / size, pair[1] * limit / size
 
 
 def _along(point: Point, direction: Point, share: float) -> Point:

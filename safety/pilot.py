@@ -16,7 +16,7 @@ from crazyarena.safety.events import Action
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.link_loss import LinkLoss
+from crazyarena.safety.link_loss import LinkLoss, Moving
 from crazyarena.safety.observation import Observation, Point, as_point
 
 _PERIOD = 0.0095  # s, at least, between setpoints: every frame of a 100 Hz camera system
@@ -108,9 +108,9 @@ class SafePilot:
         place = obs.flown_from(self._limits.disagreement)
         if place is None or not self._link_loss.on:
             return setpoint
+        push = obs.horizontal_acceleration(self._limits.vehicle.strongest)
         slower = self._link_loss.full_state(
-            place,
-            self._velocity,
+            Moving(place, self._velocity, push),
             as_point(setpoint.position),
             as_point(setpoint.velocity),
             as_point(setpoint.acceleration),

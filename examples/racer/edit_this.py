@@ -24,6 +24,9 @@ REAL_DRAG = 0.4  # 1/s, acceleration that a real one loses per m/s
 REAL_LEAD = 0.06  # s by which it is behind what it is told
 JOIN_TIME = 1.0  # s, to get from the true start onto the path
 REROUTE_LIMIT = 5.0  # m/s2, for the detour to a gate that is not where it was said to be
+INSIDE = 0.15  # m from the walls, where to come down if the link is lost, and to wait at the goal
+# m for each rad/s of the last body rates: a vehicle without a link keeps a tilt against them.
+CARRIED = 0.9
 
 
 class Controller:
@@ -46,6 +49,8 @@ class Controller:
         self.nominal = [(g[0], g[1], g[5]) for g in nominal]
         start = np.array(initial_obs[0:5:2], dtype=float)
         goal = np.array(initial_info["x_reference"], dtype=float)[0:5:2]
+        # Anywhere within the tolerance will do.
+        goal[:2] = np.clip(goal[:2], ARENA[0][:2] + INSIDE, ARENA[1][:2] - INSIDE)
         obstacles = np.array(initial_info["nominal_obstacles_pos"], dtype=float).reshape(-1, 6)
 
         spread = initial_info["gates_and_obs_randomization"]
@@ -105,7 +110,21 @@ class Controller:
         if time < 0.15:
             push[2] = max(push[2], LIFT_OFF)
         target = [w + s for w, s in zip(where, self.stiffen, strict=True)]
-        return Command.FULLSTATE, [target, velocity, push, 0.0, _body_rates(push, jerk)]
+        rates = _body_rates(push, jerk)
+        share = self._share_that_stays_in(where, velocity, push, (rates[1], -rates[0]))
+        return Command.FULLSTATE, [target, velocity, push, 0.0, [share * r for r in rates]]
+
+    def _share_that_stays_in(self, place, velocity, push, carried):
+        """Of body rates, which push along x and y: what there is room for if the link is lost."""
+        share = 1.0
+        for axis, rate in enumerate(carried):
+            lost = place[axis] + self.limits.coasting * velocity[axis]
+            lost += self.limits.coasting_push * push[axis]
+            wall = ARENA[1][axis] - INSIDE if rate > 0.0 else ARENA[0][axis] + INSIDE
+            room = max((wall - lost) * math.copysign(1.0, rate), 0.0)
+            if room < CARRIED * abs(rate):
+                share = min(share, room / (CARRIED * abs(rate)))
+        return share
 
     def _look(self, time, info):
         """Re-route through the next gate as soon as its exact pose is shown."""

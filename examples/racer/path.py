@@ -35,10 +35,10 @@ class Limits:
     """What the vehicle and the rules allow. SI units."""
 
     acceleration: float = 4.0
-    braking: float = 2.0  # on the way to rest at the goal, which may be close to a wall
+    braking: float = 1.5  # on the way to rest at the goal, which may be close to a wall
     # A vehicle that loses its radio link keeps the last setpoint for half a second and then
     # coasts: it comes down at p + coasting v + coasting_push a, and that should be inside, too.
-    coasting: float = 0.66  # s
+    coasting: float = 0.75  # s
     coasting_push: float = 0.1  # s2
     speed: float = 2.5
     gate_speed: float = 1.6

@@ -18,6 +18,7 @@ from crazyarena.runner.cli.common import (
 from crazyarena.runner.cli.options.figure import figure_choice
 from crazyarena.runner.cli.options.flight import Sandbox, flight_options
 from crazyarena.runner.cli.options.groups import takes
+from crazyarena.runner.cli.options.report import Report, leave_report
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 from crazyarena.runner.cli.options.view import view_options
 
@@ -71,6 +72,7 @@ def dry_run(
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode.")] = True,
     *,
     figure: str,
+    report: Report = True,
     vehicle: VehicleChoice,
     vehicle_spread: VehicleSpread = None,
     options: FlightOptions,
@@ -112,7 +114,17 @@ def dry_run(
             given = (level, seed, episodes, set_ or None, options.secret or None)
             drawn, options = _drawn(draw, given, options)
         if _flew_lsy(
-            submission, level, episodes, seed, out, set_ or [], record, options, view(), drawn
+            submission,
+            level,
+            episodes,
+            seed,
+            out,
+            set_ or [],
+            record,
+            options,
+            view(),
+            drawn,
+            report,
         ):
             return
         from crazyarena.runner.dry_run import DryRun
@@ -129,6 +141,7 @@ def dry_run(
             out=out,
             record=record,
             figure=figure,
+            report=report,
             options=options,
             vehicle=vehicle,
             spread=vehicle_spread,
@@ -170,6 +183,7 @@ def _flew_lsy(
     options: FlightOptions,
     view: ViewOptions | None,
     drawn: LoadedDraw | None = None,
+    report: bool = True,
 ) -> bool:
     """Fly a controller of lsy_drone_racing, told by its file; False if this is none."""
     looks_like = submission is not None or drawn is not None or (level or "").endswith(".toml")
@@ -240,6 +254,8 @@ def _flew_lsy(
     told = "The seed is secret" if options.secret else f"Seed {result.seed}"
     where = shown_line(str(run.out))
     console.print(f"{told}. Results in {where}", highlight=False, markup=False, soft_wrap=True)
+    if report and run.out is not None:
+        leave_report(run.out, console)
     if result.cut_short is not None:
         raise StorageError(result.cut_short)
     if not result.clean:

@@ -27,6 +27,9 @@ from crazyarena.sim_backend.vehicles.hover import mellinger_hover, push
 # s, of the attitude loops, found in simulation; that of the rotors counts in part, as the loops
 # make up for most of it.
 _TILTING = {MELLINGER: 0.16, PID: 0.12}
+# rad/s and damping ratio of a tilt that swings to what is asked for, fitted to link losses flown
+# with weak, strong, heavy and slow vehicles.
+_SWINGING = {MELLINGER: (13.5, 0.85), PID: (13.0, 0.87)}
 _OF_LAG = 0.2
 _LEAST_LAG = 0.01  # s
 _LOADED = 3.2  # V, under load, from which motors are reckoned with
@@ -34,7 +37,8 @@ _LIFTING = 1.05  # times its weight: less is not flying
 _FULL_SCALE = 65535.0
 # What height and stiffness under Mellinger's controller depend on.
 _READ = tuple(
-    f"ctrlMel.{name}" for name in ("mass", "massThrust", "kp_z", "kd_z", "kp_xy", "kd_xy")
+    f"ctrlMel.{name}"
+    for name in ("mass", "massThrust", "kp_z", "kd_z", "kp_xy", "kd_xy", "kR_xy", "kw_xy")
 )
 _THRUST_SCALE = 1000.0  # of the PID's vertical loop
 
@@ -62,6 +66,9 @@ def flight_model(
         agility=GRAVITY * math.sqrt(max(lift * lift - 1.0, 1e-4)),
         tilting=_TILTING.get(controller, max(_TILTING.values())) + _OF_LAG * lag,
         thrusting=max(lag, _LEAST_LAG),
+        swinging=_SWINGING.get(controller, _SWINGING[PID]),
+        lean=0.0,
+        drag=max(vehicle.body.drag.value[:2]) / mass,
         lift=lift,
         spent=_voltage(vehicle, _LIFTING * weight),
     )
@@ -75,6 +82,7 @@ def flight_model(
             stiffness=(share * kp, share * kp, share * kp_z),
             damping=(share * kd, share * kd, share * kd_z),
             feed=(feed, feed, feed),
+            lean=param("ctrlMel.kw_xy") / (2.0 * param("ctrlMel.kR_xy")),
             low=mellinger_hover(vehicle, told).low,
         )
     tilt = math.radians(1.0) * GRAVITY  # m/s2 of a degree

@@ -11,8 +11,9 @@ from crazyarena.errors import InputError
 from crazyarena.safety.admission.memory import Refused, VehicleMemory
 from crazyarena.safety.attitude_path import AttitudeLoss
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.flight_model import GRAVITY
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.link_loss import LinkLoss, largest_share
+from crazyarena.safety.link_loss import LinkLoss, Moving, largest_share
 from crazyarena.safety.observation import LAG, Point, as_point
 from crazyarena.safety.planner import Motion
 from crazyarena.types import VehicleState
@@ -23,6 +24,9 @@ _PEAK_ACCELERATION = 7.5132
 _VELOCITY_HORIZON = 0.5  # s of a velocity setpoint that have to end inside the fence
 _MEMORY = 0.5  # s after which the last setpoint no longer bounds the next
 _MOST_LAG = 0.4  # m
+# rad/s and cosine of a tilt, above which a vehicle needs its motors to be upright; rad and rad/s by
+# which it may be turned then.
+_TIPS, _LEANS, _FACES, _YAWS = 2.0, 0.9, 0.2, 1.0
 _WAY_STEP = 0.025  # m, between looks along a way
 OUT_IF_LOST = "it would carry the vehicle out of the fence if the link were lost now"
 
@@ -95,10 +99,10 @@ class Room:
         last = (bad - 1) / steps
         return last + largest_share(lambda part: good(last + part / steps), 6) / steps
 
-    def motion(self, vehicle: int) -> tuple[Point, Point] | None:
-        """Place and velocity for the look at link losses; None if off, or nobody knows them."""
+    def motion(self, vehicle: int) -> Moving | None:
+        """How the vehicle moves, for the look at link losses; None if off, or nobody knows."""
         state = self.state(vehicle) if self.link_loss.on else None
-        return None if state is None else (as_point(state.position), as_point(state.velocity))
+        return None if state is None else self.link_loss.seen(state)
 
     def inside(self, point: Point, vehicle: int, reasons: list[str], what: str) -> Point:
         margin = self.fence.soft_margin
@@ -188,6 +192,62 @@ class Room:
             if not self.fence.is_convex:
                 point = self._in_sight(where, point, reasons)
         return point
+
+    def upright(
+        self,
+        point: Point,
+        memory: VehicleMemory,
+        reasons: list[str],
+        velocity: Point = (0.0, 0.0, 0.0),
+        acceleration: Point = (0.0, 0.0, 0.0),
+    ) -> Point:
+        """Lower a place to which a vehicle that is busy with its attitude would climb with all it
+        has: the motors have nothing left then to stop its turn, and it goes over."""
+        state, model = self._busy(memory.vehicle), self.limits.vehicle
+        if state is None or not model.follows_velocity:
+            return point
+        height, climb = float(state.position[2]), float(state.velocity[2])
+        spare = GRAVITY * (model.lift - 1.0) - model.feed[2] * acceleration[2]
+        spare -= model.damping[2] * (velocity[2] - climb)
+        highest = height + max(0.0, spare) / model.stiffness[2]
+        if point[2] <= highest:
+            return point
+        reasons.append(
+            f"height {point[2]:.2f} m takes all thrust while the vehicle leans or tips, "
+            f"{highest:.2f} m for now"
+        )
+        return point[0], point[1], highest
+
+    def facing(self, yaw: float, memory: VehicleMemory, now: float, reasons: list[str]) -> float:
+        """Keep a new heading near that of a vehicle that is busy with its attitude: what motors
+        turn it with is missing elsewhere, too. One that it had before it may have."""
+        state = self._busy(memory.vehicle)
+        if state is None or not math.isfinite(yaw):
+            return yaw
+        last, age = memory.heading[0], now - memory.heading[1]
+        step = abs(math.remainder(yaw - last, math.tau))
+        seen = yaw_of(state.quaternion)
+        turn = math.remainder(yaw - seen, math.tau)
+        if abs(turn) <= _FACES or (age <= _MEMORY and step <= _YAWS * age + 1e-3):
+            return yaw
+        reasons.append(f"heading {yaw:.2f} rad turns by {turn:.2f} while the vehicle leans or tips")
+        return seen + math.copysign(_FACES, turn)
+
+    def turning(self, rate: float, memory: VehicleMemory, reasons: list[str]) -> float:
+        """The same for a rate of yaw, rad/s."""
+        if abs(rate) <= _YAWS or self._busy(memory.vehicle) is None:
+            return rate
+        reasons.append(f"yaw rate of {rate:.2f} rad/s while the vehicle leans or tips")
+        return math.copysign(_YAWS, rate)
+
+    def _busy(self, vehicle: int) -> VehicleState | None:
+        """The vehicle's state, if it leans or tips so that it needs its motors to be upright."""
+        state = self.state(vehicle)
+        if state is None:
+            return None
+        x, y, _, _ = (float(value) for value in state.quaternion)
+        rate = math.hypot(*state.angular_velocity[:2].tolist())
+        return state if rate > _TIPS or 1.0 - 2.0 * (x * x + y * y) < _LEANS else None
 
     def _in_sight(self, where: Point, point: Point, reasons: list[str]) -> Point:
         """``point``, or the last place before fence or zone on the straight way to it."""
