@@ -23,6 +23,7 @@ UNSEEN = 0.12  # m, that poles and stands nobody has seen are thought to be thic
 DEEP = 0.12  # m, that frames nobody has seen are thought to reach before and behind
 BEYOND = 0.5  # m, behind the last gate
 PER_LEG = 15  # unknowns: two durations, speed, acceleration at the gate, 9 of the middle knot
+UNEVEN = 1.0  # logarithm of how many times longer a leg's one half may last than the other
 SWING = 0.4  # m, by which another way round is tried
 SIGHT, SLOWING = 0.75, 0.5  # m, at which gates are seen; on which it slows down before
 SLOW = 0.5  # m/s, the least through a gate
@@ -346,12 +347,16 @@ class Plan:
         g_knots[:-1] += g_ends[:, :3]
         g_knots[1:] += g_ends[:, 3:]
         gradient = np.empty((self._legs, PER_LEG))
+        # A leg whose pieces differ much in length has little to turn with.
+        uneven = np.log(d[::2] / d[1::2])
+        too_uneven = uneven - np.clip(uneven, -UNEVEN, UNEVEN)
         gradient[:, :2] = (g_d * d).reshape(-1, 2)
+        gradient[:, :2] += 2.0 * too_uneven[:, None] * [1.0, -1.0]
         width = self._limits.gate_speed - SLOW
         gradient[:, 2] = (g_knots[2::2, 1] * self._normals).sum(-1) * width * share * (1.0 - share)
         gradient[:, 3:6] = g_knots[2::2, 2]
         gradient[:, 6:] = g_knots[1::2].reshape(-1, 9)
-        return float((d * density).sum()), gradient.ravel()
+        return float((d * density).sum() + too_uneven @ too_uneven), gradient.ravel()
 
     def _density(self, knots: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, ...]:
         """Cost per second of each piece, its slopes by what was looked at, and that itself."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from crazyarena.crazyswarm_compat import commands as c
@@ -13,7 +14,7 @@ from crazyarena.safety.attitude_path import AttitudeLoss
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.flight_model import GRAVITY
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.link_loss import LinkLoss, Moving, largest_share
+from crazyarena.safety.link_loss import LinkLoss, Moving, UsualSpeed, largest_share
 from crazyarena.safety.observation import LAG, Point, as_point
 from crazyarena.safety.planner import Motion
 from crazyarena.types import VehicleState
@@ -54,6 +55,7 @@ class Room:
         self.limits = limits
         self.link_loss = LinkLoss(fence, limits)
         self.attitude_loss = AttitudeLoss(fence, limits)
+        self._usual: dict[int, UsualSpeed] = {}
         self.state = state
         self.parameter = parameter
 
@@ -103,7 +105,11 @@ class Room:
     def motion(self, vehicle: int) -> Moving | None:
         """How the vehicle moves, for the look at link losses; None if off, or nobody knows."""
         state = self.state(vehicle) if self.link_loss.on else None
-        return None if state is None else self.link_loss.seen(state)
+        if state is None:
+            return None
+        usual = self._usual.setdefault(vehicle, UsualSpeed())
+        moving = self.link_loss.seen(state)
+        return replace(moving, usual=usual.see(state.timestamp, moving.velocity))
 
     def inside(self, point: Point, vehicle: int, reasons: list[str], what: str) -> Point:
         margin = self.fence.soft_margin
