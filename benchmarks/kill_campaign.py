@@ -1,11 +1,12 @@
 """Runs that are killed at random moments: whether everything they leave can be read.
 
-    python benchmarks/kill_campaign.py [--dry-run 80] [--evaluate 10] [--bench 10] [--seed 0]
+    python benchmarks/kill_campaign.py [--dry-run 60] [--evaluate 10] [--bench 10] [--tournament 20]
 
 Each run flies more episodes than it will live for. It is killed with SIGKILL at a moment drawn
 evenly between its start and twice the time of its first episode; every fourth gets SIGTERM first,
 and 20 s. What it has started (sandbox, flight process, virtual arena) must end by itself. Then
-every recording is read to its end; ``result.json`` must be whole and tell of every finished one.
+every recording is read to its end; ``result.json``, or the journal of a tournament, must be whole
+and tell of every finished one.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import contextlib
 import json
 import os
 import random
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -24,6 +26,7 @@ from pathlib import Path
 
 from crazyarena.errors import CrazyarenaError
 from crazyarena.runner.records import export
+from crazyarena.runner.tournament.journal import JOURNAL, Journal
 
 ROOT = Path(__file__).resolve().parent.parent
 _EMPTY = [
@@ -33,6 +36,7 @@ _EMPTY = [
 _MOST = 400.0  # s for a first episode, with compiling
 _MERCY = 20.0  # s between SIGTERM and SIGKILL
 _LANDING = 60.0  # s for a vehicle without a runner to be landed
+_TEAMS = 200
 _MARK = "CRAZYARENA_KILL_CAMPAIGN"
 
 
@@ -52,6 +56,7 @@ COMMANDS = {
         "bench", str(ROOT / "examples" / "template"), "--no-dry", "--no-figure", "--runs", "100",
         *_sets(_EMPTY),
     ],
+    "tournament": ["tournament", "{teams}", "--levels", "level0", "--seeds", "2"],
 }  # fmt: skip
 
 
@@ -118,8 +123,13 @@ def _results(out: Path) -> list[Path]:
     return sorted(out.rglob("result.json"))
 
 
+def _lines(journal: Path) -> list[str]:
+    """Episodes of a tournament, as they are written: what is cut short is not there yet."""
+    return [line for line in journal.read_text().splitlines(keepends=True) if line.endswith("\n")]
+
+
 def _told(out: Path) -> int:
-    count = 0
+    count = sum(len(_lines(journal)) for journal in out.glob(JOURNAL))
     for file in _results(out):
         count += len(json.loads(file.read_text())["episodes"])
     return count
@@ -142,6 +152,8 @@ def check(out: Path, tally: Tally) -> list[str]:
             troubles.append(f"{file.parent}: told of and not there: {sorted(lost)}")
         if len(untold := whole - told) > 1:
             troubles.append(f"{file.parent}: there and not told of: {sorted(untold)}")
+    if (out / JOURNAL).exists():
+        troubles += _journal(out, tally)
     for file in sorted([*out.rglob("*.mcap"), *out.rglob("*.mcap.part")]):
         try:
             recording = export.read(file)
@@ -156,10 +168,31 @@ def check(out: Path, tally: Tally) -> list[str]:
     return troubles
 
 
+def _journal(out: Path, tally: Tally) -> list[str]:
+    """Read a tournament's journal as the next start does."""
+    try:
+        journal = Journal(out)
+    except CrazyarenaError as error:
+        return [str(error)]
+    journal.close()
+    tally.episodes += len(journal.episodes)
+    told = {e["recording"] for e in journal.episodes.values() if e["recording"]}
+    lost = sorted(name for name in told if not (out / name).exists())
+    return [f"{out}: told of and not there: {lost}"] if lost else []
+
+
+def _command(name: str, folder: Path) -> list[str]:
+    teams = folder / "teams"
+    if "{teams}" in COMMANDS[name]:
+        for team in range(_TEAMS):
+            shutil.copytree(ROOT / "examples" / "starter", teams / f"team{team}")
+    return [word.format(teams=teams) for word in COMMANDS[name]]
+
+
 def campaign(name: str, runs: int, draw: random.Random, folder: Path) -> Tally:
     """Kill ``runs`` runs of a command."""
     tally = Tally()
-    command = COMMANDS[name]
+    command = _command(name, folder)
     first = _first_episode(command, folder)
     for index in range(runs):
         out = folder / f"{name}-{index}"
@@ -181,7 +214,7 @@ def campaign(name: str, runs: int, draw: random.Random, folder: Path) -> Tally:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    defaults = {"dry-run": 80, "evaluate": 10, "bench": 10}
+    defaults = {"dry-run": 60, "evaluate": 10, "bench": 10, "tournament": 20}
     for name in COMMANDS:
         parser.add_argument(f"--{name}", type=int, default=defaults[name])
     parser.add_argument("--seed", type=int, default=0)

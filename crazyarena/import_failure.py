@@ -14,6 +14,21 @@ from collections.abc import Collection, Iterator
 from crazyarena.plain_text import shown, shown_line
 
 _MOST_LINKS = 16
+_DISTRIBUTIONS = {
+    "PIL": "pillow",
+    "cv2": "opencv-python-headless",
+    "skimage": "scikit-image",
+    "sklearn": "scikit-learn",
+    "stable_baselines3": "stable-baselines3",
+    "yaml": "PyYAML",
+}
+"""What pip calls packages that are imported by another name."""
+_BY_HAND = {
+    "acados_template": "acados_template is no package of pip's: build acados, install its "
+    "interfaces/acados_template with pip, and set ACADOS_SOURCE_DIR to its folder",
+    "torch": "torch without GPU support is enough",
+}
+"""What more there is to say."""
 
 
 def chain(error: BaseException) -> Iterator[BaseException]:
@@ -43,12 +58,13 @@ def missing(error: BaseException, own: Collection[str] = ()) -> str:
                 names[shown_line(name)] = None
     if not names:
         return _own_module(error, own)
-    listed = ", ".join(f"'{name}'" for name in reversed(names))
+    listed = ", ".join(f"'{_DISTRIBUTIONS.get(name, name)}'" for name in reversed(names))
     many = len(names) > 1
+    hints = "".join(f". {_BY_HAND[name]}" for name in reversed(names) if name in _BY_HAND)
     return (
         f"; not installed: the package{'s' if many else ''} {listed}. Install "
         f"{'what is needed of them' if many else 'it'} where crazyarena is installed (python -m "
-        f"pip install ...), or pass a folder that holds {'them' if many else 'it'}"
+        f"pip install ...), or pass a folder that holds {'them' if many else 'it'}{hints}"
     )
 
 

@@ -46,6 +46,10 @@ class FleetGuard(Backend, Protocol):
         vehicles)."""
         ...
 
+    def frozen(self) -> Sequence[str]:
+        """Names of vehicles whose poses repeat to the bit, so that they get none."""
+        ...
+
     def finish(self) -> None:
         """Land what still flies and wait for it; needs poses. Idempotent."""
         ...

@@ -14,7 +14,7 @@ from crazyarena.crazyswarm_compat.config import FleetConfig
 from crazyarena.crazyswarm_compat.guard import FleetGuard
 from crazyarena.crazyswarm_compat.options import warn
 from crazyarena.crazyswarm_compat.registry import pose_parts
-from crazyarena.errors import InputError
+from crazyarena.errors import BackendError, InputError
 
 ONBOARD = "onboard"
 _START_TOLERANCE = 0.3  # m
@@ -147,6 +147,14 @@ def _compare_starts(fleet: FleetConfig, backend: Backend) -> None:
             )
 
 
+def _with_frozen(error: BackendError, names: Sequence[str]) -> BackendError:
+    return BackendError(
+        f"{error}; {', '.join(names)}: a guard passes on no pose that repeats the last one to the "
+        "bit: a camera system that is frozen, or simulated cameras without noise (crazyarena "
+        "virtual-cf --camera-noise)"
+    )
+
+
 def _prepare(
     fleet: FleetConfig, backend: Backend, prepare: Callable[[], None] | None, watchdog: bool
 ) -> None:
@@ -203,7 +211,12 @@ def start_hardware(
         if guard is not None:
             guard.watch(feed.estimate)
         prepare = getattr(backend, "prepare", None)
-        _prepare(fleet, backend, prepare, watchdog and guard is None)
+        try:
+            _prepare(fleet, backend, prepare, watchdog and guard is None)
+        except BackendError as error:
+            if guard is None or not guard.frozen():
+                raise
+            raise _with_frozen(error, guard.frozen()) from error
     except BaseException:
         feed.close()
         raise

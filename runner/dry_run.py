@@ -19,6 +19,7 @@ from crazyarena.runner.contestant.in_process import InProcess
 from crazyarena.runner.contestant.shipped import example_racer
 from crazyarena.runner.judging.result import EpisodeResult, TrialResult
 from crazyarena.runner.records.outcome_table import table
+from crazyarena.runner.records.pages.write import leave_page
 from crazyarena.runner.records.pictures import Figures, Pictures
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.records.report import NOT_ISOLATED, result_document
@@ -76,6 +77,7 @@ class DryRun:
         goes.
     seeds: one for each episode, which are then as many; ``level`` may then be a loaded one.
     on_episode: told of every episode's result, recorder and track, whatever is kept of it.
+    report: write ``report.html`` too.
     """
 
     def __init__(
@@ -88,6 +90,7 @@ class DryRun:
         out: Path | None = None,
         record: bool = True,
         figure: Figures | bool | str = True,
+        report: bool = False,
         console: Console | None = None,
         options: FlightOptions | None = None,
         noise_seed: int | None = None,
@@ -123,6 +126,7 @@ class DryRun:
         self._path = self.entry.path
         self._episodes = self._level.num_episodes if episodes is None else episodes
         self._wanted_out = out
+        self._report_wanted = report
         self._record = record
         self._pictures = Pictures(
             Figures.of(figure), self._episodes, self._level, not self._controlled
@@ -256,7 +260,12 @@ class DryRun:
         if not result.isolated:
             self._print(NOT_ISOLATED)
         self._print(f"Results in {shown_line(str(self.out))}")
-        if self._draw_figures(result):
+        self._pictures.end(self.out, result.isolated)
+        report = leave_page(self.out) if self._report_wanted else None
+        drawn = self._draw_figures(result)
+        if report is not None:
+            self._print(*report)
+        if drawn:
             self._results.finish(result_document(result, origin))
 
     def _opened_view(self) -> View | None:
@@ -483,12 +492,9 @@ class DryRun:
 
     def _draw_figures(self, result: TrialResult) -> bool:
         """Wait for the pictures; whether there is any."""
-        drawn = self._pictures.finish(self.out, result.isolated)
+        drawn = self._pictures.finish()
         for reason in self._pictures.refused[:1]:
             result.cut_short = result.cut_short or reason
-        told = drawn if len(drawn) <= 3 else [drawn[0], drawn[-1]]
-        for file in told:
-            self._print(f"Figure: {shown_line(str(file))}")
-        if len(told) < len(drawn):
-            self._print(f"... and {len(drawn) - len(told)} more figures there")
+        for line in self._pictures.told(drawn):
+            self._print(line)
         return bool(drawn)

@@ -34,6 +34,7 @@ from crazyarena.safety.estop_local import (
 )
 
 _TICK = 0.1  # s, at which a listener looks whether it should end
+_CLOSES = 10.0  # s, until nobody waits for the listener any more
 _LOOK = 0.25  # s, between looks whether its sockets are still there
 _ASK = 0.01  # s, between questions whether the vehicles confirm
 _CONFIRMED = 0.8  # s, within which they must
@@ -113,6 +114,11 @@ class SocketSource:
             except Exception as error:  # whatever it is, the next stop must be heard
                 self._tell(f"the listener for stops: {type(error).__name__}: {error}")
                 self._closed.wait(_ASK)
+        # By the thread that uses them: what is shut under a late one would be mended again.
+        for door in self._doors:
+            door.close()
+        if self._abstract is not None:
+            self._abstract.close()
 
     def _turn(self) -> None:
         sockets = [door.socket for door in self._doors if door.socket is not None]
@@ -194,11 +200,7 @@ class SocketSource:
     def close(self) -> None:
         """Idempotent."""
         self._closed.set()
-        self._thread.join(timeout=2 * _TICK + 0.5)
-        for door in self._doors:
-            door.close()
-        if self._abstract is not None:
-            self._abstract.close()
+        self._thread.join(timeout=_CLOSES)
 
 
 class _Door:

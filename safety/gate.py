@@ -34,6 +34,8 @@ from crazyarena.types import Pose, Telemetry, VehicleState
 _STOPPING = (c.Emergency, c.CutMotors, c.Stop)
 _TELEMETRY_GOOD = 0.3  # s, up to which the vehicle's own estimate is carried on
 
+_FROZEN = 20  # poses that repeat, after which they are called frozen
+
 Listener = Callable[[c.Command, c.Command | None, str, int | None], None]
 
 
@@ -127,7 +129,9 @@ class CommandGate:
             return False
         last = memory.forwarded
         if last is not None and repeats(last, pose, memory.flying_since is not None):
+            memory.repeated += 1
             return False
+        memory.repeated = 0
         memory.forwarded = pose
         own = self._backend.telemetry(vehicle).state
         if memory.flying_since is None or own is None:
@@ -138,6 +142,10 @@ class CommandGate:
         expected = own.position + age * own.velocity
         gone = float(np.linalg.norm(pose.position - expected))
         return gone <= self.limits.disagreement + 0.5 * self.limits.setpoint_acceleration * age**2
+
+    def frozen(self) -> list[int]:
+        """Vehicles whose last poses were the same again and again."""
+        return [vehicle for vehicle, m in self._vehicles.items() if m.repeated >= _FROZEN]
 
     def telemetry(self, vehicle: int) -> Telemetry:
         return self._backend.telemetry(vehicle)

@@ -5,7 +5,7 @@ it circles, from 60 on it runs away. Its own estimate follows the cameras and sh
 gyroscope does, which is bolted to the motors: what it feels as roll and pitch must be
 
 - how the cameras see the body turn, about its own axes, and
-- how the vehicle is pushed: jerk is gravity times the rate of tilt, so the way is the third
+- how the vehicle is pushed: it is accelerated by gravity times its tilt, so the way is the second
   integral of that, whatever place, speed and tilt were in the beginning.
 
 Both are compared over windows of half a second as complex numbers, x + i y: the ratio is
@@ -19,6 +19,7 @@ Winds, drag and a wrong trim are slow, and go with what a window does not look a
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,12 +30,18 @@ GRAVITY = 9.81
 Point = tuple[float, float, float]
 Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
+# Time, place x and y, what was seen and what was felt of the attitude.
+_Row = tuple[float, ...]
+_LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 _WINDOW = 0.5  # s
 _LEAST_SAMPLES = 12
+_HURRY, _EASE = 1, 4  # samples after which an unfinished window is looked at, until it is known
 _GAP = 0.15  # s without a sample, after which a window begins anew
 _MEMORY = 0.97  # share of old windows that is kept at each new one
-_LIVELY = 0.9  # rad of turn within a window, above which small-angle reasoning ends
+# rad of turn within a window, above which thrust is no longer what gravity is, and above which a
+# turn may be told the other way round.
+_LIVELY, _WILD = 0.9, 2.2
 _YAW_MEMORY = 4.0  # s in which an old difference of yaw is forgotten
 # Noise that is reckoned with: what cameras have, and what the model leaves out.
 _PLACE_NOISE = 0.0008  # m
@@ -118,15 +125,17 @@ class _Sums:
 class HeadingWatch:
     """Follows one vehicle; feed it with every believed pose while the vehicle flies."""
 
-    _rows: list[tuple[float, complex, Quaternion, complex]] = field(default_factory=list)
+    _rows: list[_Row] = field(default_factory=list)
     _sums: _Sums = field(default_factory=_Sums)
     _yaw: float = 0.0
-    _last: tuple[float, Quaternion, float] | None = None
+    _last: tuple[float, Quaternion, Point] | None = None
+    _felt: Quaternion = _LEVEL
     now: Turned = field(default_factory=Turned)
 
     def reset(self) -> None:
         """Begin anew: on the ground, or after poses were missing."""
         self._rows, self._sums, self._yaw, self._last = [], _Sums(), 0.0, None
+        self._felt = _LEVEL
         self.now = Turned()
 
     def update(self, time: float, position: Point, seen: Quaternion, gyro: Point) -> Turned:
@@ -144,22 +153,27 @@ class HeadingWatch:
         else:
             before, q, rate = self._last
             dt = time - before
-            turned = _rotation(q, seen)[2]
+            mean = [0.5 * dt * (a + b) for a, b in zip(rate, gyro, strict=True)]
+            self._felt = _turned(self._felt, *mean)
             self._yaw *= math.exp(-dt / _YAW_MEMORY)
-            self._yaw += turned - 0.5 * dt * (rate + gyro[2])
-        self._last = time, seen, gyro[2]
-        self._rows.append((time, complex(*position[:2]), seen, complex(*gyro[:2])))
+            self._yaw += _rotation(q, seen)[2] - mean[2]
+        self._last = time, seen, gyro
+        self._rows.append((time, *position[:2], *seen, *self._felt))
         latest = _Sums()
         if time - self._rows[0][0] >= _WINDOW and len(self._rows) >= _LEAST_SAMPLES:
             latest = _window(self._rows)
             self._rows = self._rows[-1:]
             self._sums = self._sums.plus(latest, _MEMORY)
             self.now = self._judge(self._sums)
-        elif len(self._rows) % 4 == 0 and len(self._rows) >= _LEAST_SAMPLES:
+        elif len(self._rows) >= _LEAST_SAMPLES and not len(self._rows) % self._each:
             self.now = self._judge(self._sums.plus(_window(self._rows), _MEMORY))
         else:
             self.now = Turned(self.now.angle, self.now.sigma, self.now.mirrored, self._yaw)
         return self.now
+
+    @property
+    def _each(self) -> int:
+        return _EASE if self.now.known else _HURRY
 
     def _judge(self, sums: _Sums) -> Turned:
         if sums.felt <= 0.0:
@@ -178,26 +192,53 @@ class HeadingWatch:
         return Turned(angle, sigma, mirrored, self._yaw)
 
 
-def _window(rows: list[tuple[float, complex, Quaternion, complex]]) -> _Sums:
-    times = np.array([row[0] for row in rows])
-    times -= times[0]
-    place = np.array([row[1] for row in rows])
-    felt = _integral(np.array([row[3] for row in rows]), times)
-    turns = np.array([_rotation(rows[0][2], row[2]) for row in rows])
-    if max(np.abs(felt).max(), np.abs(turns).max()) > _LIVELY:
+def _window(rows: list[_Row]) -> _Sums:
+    table = np.array(rows)
+    times = table[:, 0] - table[0, 0]
+    place = table[:, 1] + 1j * table[:, 2]
+    felt, lean = _turns(table[:, 7:])
+    seen, _ = _turns(table[:, 3:7])
+    most = max(np.abs(felt).max(), np.abs(seen).max())
+    if most > _WILD:
         return _Sums()
-    seen = turns[:, 0] + 1j * turns[:, 1]
-    # Roll to the right pushes to the right, -y; pitching the nose down pushes ahead, +x.
-    push = -1j * GRAVITY * np.exp(1j * np.array([_yaw(row[2]) for row in rows]))
-
-    def pushed(turn: NDArray) -> NDArray:
-        return _integral(_integral(push * turn, times), times)
-
     # As a camera behind a mirror would see it.
-    mirror = -felt.conj()
-    sums = _compared(felt, mirror, seen, np.ones((len(times), 1)), _TURN_NOISE)
+    sums = _compared(felt, -felt.conj(), seen, np.ones((len(times), 1)), _TURN_NOISE)
+    if most > _LIVELY:
+        return sums
+    turned = GRAVITY * np.exp(1j * _yaw(rows[0][3:7]))
+    pushed = _integral(_integral(turned * lean, times), times)
+    mirror = _integral(_integral(turned * lean.conj(), times), times)
     slow = np.vander(times, 3)
-    return sums.plus(_compared(pushed(felt), pushed(mirror), place, slow, _PLACE_NOISE), 1.0)
+    return sums.plus(_compared(pushed, mirror, place, slow, _PLACE_NOISE), 1.0)
+
+
+def _turns(q: Array) -> tuple[NDArray, NDArray]:
+    """Of attitudes (n, 4), about the axes of the first: their turns as rotation vectors, and
+    where up leans; x + i y of both."""
+    a, b = q[0], q
+    x = a[3] * b[:, 0] - a[0] * b[:, 3] - a[1] * b[:, 2] + a[2] * b[:, 1]
+    y = a[3] * b[:, 1] + a[0] * b[:, 2] - a[1] * b[:, 3] - a[2] * b[:, 0]
+    z = a[3] * b[:, 2] - a[0] * b[:, 1] + a[1] * b[:, 0] - a[2] * b[:, 3]
+    w = a[3] * b[:, 3] + a[0] * b[:, 0] + a[1] * b[:, 1] + a[2] * b[:, 2]
+    sign = np.where(w < 0.0, -1.0, 1.0)
+    sine = np.sqrt(x * x + y * y + z * z)
+    share = np.where(sine > 1e-9, 2.0 * np.arctan2(sine, abs(w)) / np.maximum(sine, 1e-9), 2.0)
+    lean = 2.0 * ((x * z + w * y) + 1j * (y * z - w * x))
+    return sign * share * (x + 1j * y), lean
+
+
+def _turned(q: Quaternion, x: float, y: float, z: float) -> Quaternion:
+    """q, turned by a small rotation vector (rad) about its own axes."""
+    half = 0.5 * math.sqrt(x * x + y * y + z * z)
+    s, w = (0.5 * math.sin(half) / half if half > 1e-9 else 0.5), math.cos(half)
+    x, y, z = s * x, s * y, s * z
+    a, b, c, d = q
+    return (
+        d * x + a * w + b * z - c * y,
+        d * y - a * z + b * w + c * x,
+        d * z + a * y - b * x + c * w,
+        d * w - a * x - b * y - c * z,
+    )
 
 
 def _compared(felt: NDArray, mirror: NDArray, seen: NDArray, slow: Array, noise: float) -> _Sums:
@@ -235,6 +276,6 @@ def _rotation(a: Quaternion, b: Quaternion) -> tuple[float, float, float]:
     return share * x, share * y, share * z
 
 
-def _yaw(q: Quaternion) -> float:
+def _yaw(q: Sequence[float]) -> float:
     x, y, z, w = q
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

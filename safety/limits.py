@@ -123,7 +123,7 @@ class Limits:
     turn_cut: float = 0.52
     yaw_warn: float = 0.25
     yaw_cut: float = 0.5
-    nudge: float = 0.04
+    nudge: float = 0.06
     clock_step: float = 0.05
     neighbour_warn: float = 0.3
     neighbour_hold: float = 0.2

@@ -45,7 +45,7 @@ def browser(width: int = 1280, height: int = 800, phone: bool = False) -> Iterat
         options.add_experimental_option("mobileEmulation", {"deviceMetrics": metrics})
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(str(_DRIVER)))
     try:
-        driver.set_script_timeout(60)
+        driver.set_script_timeout(110)
         yield driver
     finally:
         driver.quit()

@@ -17,6 +17,7 @@ settings.load_profile("crazyarena")
 # Tests that fly or talk in wall time. They assert what happens, not how fast; but a machine that
 # stalls for seconds makes the vehicle under test do what it should on a lost link.
 _REALTIME = (
+    "crazyswarm_compat/radio/test_exit.py",
     "crazyswarm_compat/radio/test_flight.py",
     "crazyswarm_compat/radio/test_hardware_doc.py",
     "crazyswarm_compat/radio/test_link.py",
@@ -79,15 +80,20 @@ def tmp_path(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRe
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Begin with Python's own Ctrl-C: shells start what runs in the background without one."""
+    """Begin with Python's own Ctrl-C: shells start what runs in the background without one.
+    Keep the order of the tests when they are spread."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    if hasattr(config.option, "loadscopereorder"):
+        config.option.loadscopereorder = False
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the tests of the files above, and give all that are marked so two more tries.
+    """Mark the tests of the files above, and give all that are marked so two more tries. They
+    come first: a queue of them that begins late is waited for by idle processors.
 
     With ``-p no:rerunfailures`` they get none, which shows who needs them.
     """
+    items.sort(key=lambda item: not _is_realtime(item.nodeid))
     retried = config.pluginmanager.hasplugin("rerunfailures")
     for item in items:
         if _is_realtime(item.nodeid):

@@ -3,6 +3,7 @@ nobody: warnings, and the end of the flight when a vehicle is gone."""
 
 from __future__ import annotations
 
+import math
 import os
 import queue
 import sys
@@ -36,6 +37,7 @@ _REFUSALS = {
 _FLIGHT_VERBS = frozenset({"takeoff", "land", "goTo", "startTrajectory"})
 _DUMB = 3.0  # s without a log packet on a link that answers
 _LOW = 0.15  # m
+_FRESH = 1.0  # s; the word that it flies no more may come some packets before the reason
 _KNOWN_BY = 4.0  # s after which it is known whether a vehicle that is back was restarted
 
 
@@ -46,7 +48,9 @@ class _Vehicle:
         self.link = link
         self.lost_at: float | None = None
         self.flew = False  # when it was lost or fell silent, or is meant to fly since
-        self.back_at: float | None = None  # after it was lost in flight
+        self.flown_at = -math.inf  # when it was last seen to fly
+        self.up_at = -math.inf  # since when it has been in reach
+        self.back_at: float | None = None  # likewise, where it was lost in flight
         self.restarted = False  # in flight
         self.dumb = False
         self.ended = False
@@ -145,6 +149,7 @@ class ScriptReport:
             case LinkUp():
                 if vehicle.lost_at is not None:
                     warn(f"{name}: link is back after {event.outage:.1f} s", stacklevel=6)
+                vehicle.up_at = event.time
                 vehicle.back_at = event.time if vehicle.flew else None
                 # That it flew stays: what it tells first may be the lock that ended the flight.
                 vehicle.lost_at = None
@@ -196,7 +201,10 @@ class ScriptReport:
         if telemetry.supervisor is None:
             return None
         state = SupervisorState.from_bits(telemetry.supervisor)
-        flew, vehicle.flew = vehicle.flew, _flies(link)
+        flew = vehicle.flew or now - vehicle.flown_at < _FRESH
+        vehicle.flew = _flies(link)
+        if vehicle.flew:
+            vehicle.flown_at = now
         # What the script has asked for is not news.
         if (flew or state.crashed) and state.locked and not link.outbox.locked:
             return (
@@ -205,7 +213,7 @@ class ScriptReport:
             )
         if flew and (state.crashed or state.tumbled):
             return "has crashed or lies on its back"
-        if link.connected and now - telemetry.timestamp > _DUMB:
+        if link.connected and now - max(telemetry.timestamp, vehicle.up_at) > _DUMB:
             if not vehicle.dumb:
                 vehicle.dumb = True
                 if _flies(link):

@@ -1,46 +1,61 @@
-"""Where to be when: plans through the track, and plans anew when it turns out to be different."""
+"""Where to be when: plans through the track, and plans anew when it turns out to be different.
+
+Planning in flight is spread over the steps, a few milliseconds each: the new route leaves the one
+that is flown a little later on, at the very place, speed and acceleration it has there.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from route import Limits, State, bars, first_guess, gates_of, plan
+from route import Limits, Plan, Route, Walls, bars, first_guess, gates_of, swung
 
 TAKE_OFF = 0.4  # s, straight up, while the rotors begin to turn
 LIFT, LIFT_LATE = 4.0, 0.12  # m/s2, s
 SWINGS = ((0.35, 0.0), (0.7, 0.0), (0.35, 0.35))  # m, first guesses
-ROUGH, FINE, IN_FLIGHT = 60, 150, 60  # iterations
+ROUGH, FINE = 100, 600  # routes looked at before the start: for each guess, for the best
+A_STEP = 18  # routes looked at in a step
+STEPS = 3  # that a plan is worked on before it is flown
+CLOSE = 0.14  # s, before a gate, in which the route stays as it is
+ROUNDS = 2  # further plans, each from where the last begins
+SOUND, WAYS = 0.5, 5  # s, that a leg may cost more than it lasts; other ways round it to try
+GAIN = 0.02  # s, that make one more of them worth while
 LOST = 0.3  # s, after which a gate that should have been passed is flown to once more
-STRETCHES = (1.0, 1.6, 2.5)  # of the next pieces, where a detour is too sharp
+BRAKES = 0.6  # s, that it takes to stand still then
 YAW_RATE = 1.5  # rad/s
 MOVED = 0.005  # m, of anything in sight, that makes it plan anew
-UNSEEN = 0.12  # m, that poles nobody has seen are thought to be thicker
 
 
 class Navigator:
     """The route of one episode; :meth:`look` at every observation, then :meth:`reference`."""
 
-    def __init__(self, obs, limits: Limits | None = None):
+    def __init__(self, obs, period, limits: Limits | None = None):
         self.limits = limits or Limits()
+        self.period = period
         self.told = self._track(obs)
         self.start = np.array(obs["pos"], float)
-        self.flies = False
         self.yaw = 0.0
-        start = State(*self._lifted(TAKE_OFF))
-        self.route = self._best(start, obs, TAKE_OFF, SWINGS)
+        self.plan, self.round, self.rest = None, 0, None
+        best = self._best(self._lifted(TAKE_OFF), obs, TAKE_OFF)
+        best.improve(FINE)
+        for way in range(WAYS):
+            if best.excess.max() < SOUND:
+                break
+            guess = swung((best.route.knots, best.route.duration), int(best.excess.argmax()), way)
+            other = Plan(gates_of(obs), self._walls(obs), self.limits, TAKE_OFF, guess)
+            other.improve(FINE // 2)
+            best = min(best, other, key=lambda plan: plan.cost)
+        self._fly(best)
 
-    def _best(self, start, obs, begin, swings):
-        """The best of several first guesses, refined."""
+    def _best(self, start, obs, begin):
+        """The best of several first guesses."""
         gates, walls = gates_of(obs), self._walls(obs)
-        routes = [
-            plan(
-                start, gates, walls, self.limits, begin,
-                first_guess(start, gates, swing, lift), ROUGH,
-            )
-            for swing, lift in swings
-        ]  # fmt: skip
-        best = min(routes, key=lambda route: route.cost)
-        guess = best.position, best.velocity, best.acceleration, best.duration
-        return plan(start, gates, walls, self.limits, begin, guess, FINE)
+        plans = [
+            Plan(gates, walls, self.limits, begin, first_guess(start, gates, swing, lift))
+            for swing, lift in SWINGS
+        ]
+        for plan in plans:
+            plan.improve(ROUGH)
+        return min(plans, key=lambda plan: plan.cost)
 
     def _track(self, obs):
         return np.concatenate(
@@ -48,8 +63,8 @@ class Navigator:
         ).astype(float)
 
     def _walls(self, obs):
-        spread = np.where(obs["obstacles_visited"], 0.0, UNSEEN)
-        return bars(obs["gates_pos"], obs["gates_quat"], obs["obstacles_pos"], spread)
+        keys = "gates_pos", "gates_quat", "obstacles_pos", "gates_visited", "obstacles_visited"
+        return Walls(*bars(*(obs[key] for key in keys)))
 
     def _lifted(self, t):
         """Reference while it takes off."""
@@ -57,59 +72,92 @@ class Navigator:
         return np.stack([self.start + 0.5 * LIFT * since**2, LIFT * since, LIFT * (since > 0)])
 
     def look(self, obs, t):
-        """Plan anew if something is not where it was said to be, or a gate was missed."""
+        """Go on with the plan in hand; begin one if something is not where it was said to be, or
+        a gate was missed."""
         gates = gates_of(obs)
-        if not gates or t < TAKE_OFF:
-            return
-        if not self.flies:
-            # On from where it really is.
-            self.flies = True
-            self.told = self._track(obs)
-            now = State(*(np.array(obs[k], float) for k in ("pos", "vel")), np.zeros(3))
-            guess = self.route.left_at(t, len(gates))
-            self.route = plan(now, gates, self._walls(obs), self.limits, t, guess, IN_FLIGHT)
-            return
-        # The route may be past a gate that the drone has not quite reached.
-        legs = len(self.route.duration) // 2 - 1
-        first = legs - len(gates)  # of the route's gates, the one that is to be passed next
-        due = self.route.gate_times[first] if first >= 0 else self.route.begin
-        if t > due + LOST:
-            self.told = self._track(obs)
-            now = State(np.array(obs["pos"], float), np.array(obs["vel"], float), np.zeros(3))
-            self.route = self._best(now, obs, t, SWINGS[:1])
-            return
-        track = self._track(obs)
-        if np.abs(track - self.told).max() < MOVED:
-            return
-        self.told = track
-        passed = sum(time <= t for time in self.route.gate_times)
-        gates = gates[max(0, passed - first) :]
         if not gates:
             return
-        now, walls = State(*self.route.at(t)), self._walls(obs)
-        best = None
-        for stretch in STRETCHES:
-            p, v, a, duration = self.route.left_at(t, len(gates))
-            duration[:3] *= stretch
-            v[1:3] /= stretch
-            route = plan(now, gates, walls, self.limits, t, (p, v, a, duration), IN_FLIGHT)
-            if best is None or route.cost < best.cost:
-                best = route
-            # What costs much more than it lasts breaks a limit: try it slower.
-            if best.cost < 1.15 * (best.end - t) + 0.3:
-                break
-        self.route = best
+        track = self._track(obs)
+        if np.abs(track - self.told).max() > MOVED:
+            self.told = track
+            self._begin(obs, t, gates, 0)
+        elif self.plan is None and self._is_lost(t, gates):
+            self._brake(obs, t, gates)
+        if self.plan is not None:
+            self.plan.improve(A_STEP)
+            if t > self.plan.begin - 0.5 * self.period:
+                self._adopt(obs, t, gates)
+
+    def _next(self, gates):
+        """Which of the route's gates is to be passed next."""
+        return len(self.route.gate_times) - len(gates)
+
+    def _is_lost(self, t, gates):
+        due = self._next(gates)
+        return t > (self.route.gate_times[due] if due >= 0 else self.route.begin) + LOST
+
+    def _begin(self, obs, t, gates, number):
+        """Begin a plan that leaves the route some steps on."""
+        if self.rest is not None:
+            guess = first_guess(self.rest, gates, *SWINGS[0])
+            self.plan = Plan(gates, self._walls(obs), self.limits, self.route.end, guess)
+            self.price = np.inf
+            return
+        begin = max(t + STEPS * self.period, self.route.begin)
+        # The route may be past a gate that the drone has not quite reached.
+        passed = 0
+        for time in self.route.gate_times:
+            if time < begin + CLOSE:
+                # Not in the last moment before a gate.
+                passed, begin = passed + 1, max(begin, time + self.period)
+        gates = gates[max(0, passed - self._next(gates)) :]
+        self.plan = None
+        if not gates:
+            return
+        guess, walls = self.route.left_at(begin, len(gates)), self._walls(obs)
+        plan = Plan(gates, walls, self.limits, begin, guess, self.curvature)
+        self.price = np.inf
+        if number and plan.excess.max() > SOUND:
+            # Round by round another way round what is in the way.
+            self.price = plan.cost - GAIN
+            guess = swung(guess, int(plan.excess.argmax()), number - 1)
+            plan = Plan(gates, walls, self.limits, begin, guess, self.curvature)
+        self.plan, self.round = plan, number
+
+    def _adopt(self, obs, t, gates):
+        plan, self.plan, self.rest = self.plan, None, None
+        if plan.cost >= self.price:
+            # The other way round is no better.
+            if self.round < WAYS:
+                self._begin(obs, t, gates, self.round + 1)
+            return
+        self._fly(plan)
+        better = plan.at_first - plan.cost > GAIN and self.round < ROUNDS
+        if better or (self.excess.max() > SOUND and self.round < WAYS):
+            self._begin(obs, t, gates, self.round + 1)
+
+    def _fly(self, plan):
+        self.route, self.curvature, self.excess = plan.route, plan.curvature, plan.excess
+
+    def _brake(self, obs, t, gates):
+        """Come to rest, and plan from there."""
+        here = np.stack([obs["pos"], obs["vel"], np.zeros(3)]).astype(float)
+        self.rest = np.zeros((3, 3))
+        self.rest[0] = here[0] + 0.5 * BRAKES * here[1]
+        self.route = Route(np.stack([here, self.rest]), np.array([BRAKES]), t)
+        self._begin(obs, t, gates, 0)
 
     def reference(self, t):
         """Position, velocity, acceleration as rows (3, 3) at a time, s since the first step."""
-        return self.route.at(t) if self.flies else self._lifted(t)
+        return self.route.at(t) if t >= TAKE_OFF else self._lifted(t)
 
-    def heading(self, obs, period):
+    def heading(self, obs):
         """Yaw (rad) that turns the drone's sides parallel to the frame it flies through next."""
         gates = gates_of(obs)
         if gates:
             quarter = 0.5 * np.pi
             want = np.arctan2(gates[0].normal[1], gates[0].normal[0])
             want = (want + 0.5 * quarter) % quarter - 0.5 * quarter
-            self.yaw += np.clip(want - self.yaw, -YAW_RATE * period, YAW_RATE * period)
+            most = YAW_RATE * self.period
+            self.yaw += np.clip(want - self.yaw, -most, most)
         return self.yaw

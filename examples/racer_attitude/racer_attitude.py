@@ -11,7 +11,7 @@ import numpy as np
 from crazyflow.sim.visualize import draw_line
 from drone_models.core import load_params
 from lsy_drone_racing.control import Controller
-from pilot import Navigator
+from pilot import TAKE_OFF, Navigator
 from scipy.spatial.transform import Rotation
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
@@ -32,7 +32,7 @@ class RacerAttitude(Controller):
         self.mass = params["mass"]
         self.drag = -np.diag(params["drag_matrix"]) / params["mass"]
         self.least, self.most = 4.0 * params["thrust_min"], 4.0 * params["thrust_max"]
-        self.navigator = Navigator(obs)
+        self.navigator = Navigator(obs, self.period)
         self.bias = np.zeros(3)
         self.step = 0
 
@@ -42,7 +42,7 @@ class RacerAttitude(Controller):
         place, velocity, _ = self.navigator.reference(t)
         _, ahead, push = self.navigator.reference(t + LAG)
         error = place - obs["pos"]
-        if self.navigator.flies:
+        if t >= TAKE_OFF:
             self.bias = np.clip(self.bias + INTEGRAL * self.period * error, -2.0, 2.0)
         want = push + self.drag * ahead + self.bias + GRAVITY
         want = want + STIFFNESS * error + DAMPING * (velocity - obs["vel"])
@@ -51,7 +51,7 @@ class RacerAttitude(Controller):
         want[:2] *= min(1.0, np.tan(TILT) * want[2] / max(flat, 1e-9))
         body = Rotation.from_quat(obs["quat"]).as_matrix()[:, 2]
         thrust = np.clip(self.mass * (want @ body), self.least, self.most)
-        yaw = self.navigator.heading(obs, self.period)
+        yaw = self.navigator.heading(obs)
         z = Rotation.from_euler("z", -yaw).apply(want / np.linalg.norm(want))
         roll, pitch = np.arctan2(-z[1], np.hypot(z[0], z[2])), np.arctan2(z[0], z[2])
         return np.array([roll, pitch, yaw, thrust], dtype=np.float32)

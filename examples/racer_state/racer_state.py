@@ -11,7 +11,7 @@ import numpy as np
 from crazyflow.sim.visualize import draw_line
 from drone_models.core import load_params
 from lsy_drone_racing.control import Controller
-from pilot import Navigator
+from pilot import TAKE_OFF, Navigator
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
 MASS_THRUST = 132000.0  # motor units per N, on board
@@ -32,7 +32,7 @@ class RacerState(Controller):
         self.drag = -np.diag(params["drag_matrix"]) / params["mass"]
         self.mass, self.mass_on_board = params["mass"], MASS_ON_BOARD.get(model, 0.029)
         self.scale = MASS_THRUST / params["pwm_max"] * 4.0 * params["thrust_max"]
-        self.navigator = Navigator(obs)
+        self.navigator = Navigator(obs, self.period)
         self.bias = np.zeros(3)
         self.step = 0
 
@@ -43,14 +43,14 @@ class RacerState(Controller):
         _, ahead, push = self.navigator.reference(t + LAG)
         push = push + self.drag * ahead
         error = place - obs["pos"]
-        if self.navigator.flies:
+        if t >= TAKE_OFF:
             velocity = velocity + STIFFEN[1] * (velocity - obs["vel"])
             place = place + STIFFEN[0] * error
             self.bias += INTEGRAL * self.period * error
             self.bias = np.clip(self.bias, -1.5, 1.5)
         force = self.mass * (push + self.bias + GRAVITY) / self.scale
         acceleration = force / self.mass_on_board - GRAVITY
-        rest = [self.navigator.heading(obs, self.period), 0.0, 0.0, 0.0]  # yaw and rates
+        rest = [self.navigator.heading(obs), 0.0, 0.0, 0.0]  # yaw and rates
         return np.concatenate([place, velocity, acceleration, rest], dtype=np.float32)
 
     def step_callback(self, action, obs, reward, terminated, truncated, info):

@@ -23,6 +23,7 @@ from crazyarena.runner.cli.options.figure import figure_choice
 from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import OPTION_HELP
+from crazyarena.runner.cli.options.report import Report, leave_report
 from crazyarena.runner.cli.options.stops import Waive, flight_stops
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 from crazyarena.runner.cli.options.view import view_options
@@ -91,6 +92,7 @@ def bench(
     ] = None,
     *,
     figure: str,
+    report: Report = True,
     vehicle: VehicleChoice,
     vehicle_spread: VehicleSpread = None,
     options: FlightOptions,
@@ -159,6 +161,8 @@ def bench(
             if reason is not None:
                 text = f"bench: {reason.removeprefix('compare: ')}"
                 console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
+        if report and result.flown:
+            leave_report(folder, console)
         run.finish()
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)

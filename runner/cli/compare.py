@@ -10,6 +10,7 @@ import typer
 
 from crazyarena.plain_text import shown_line
 from crazyarena.runner.cli.common import bad_input_exits
+from crazyarena.runner.cli.options.report import Report, leave_report
 from crazyarena.whole_file import write_whole
 
 
@@ -29,6 +30,7 @@ def compare(
         Path | None, typer.Option(help="Folder for compare.png and compare.json.")
     ] = None,
     figure: Annotated[bool, typer.Option(help="Write compare.png.")] = True,
+    report: Report = True,
     different_levels: Annotated[
         bool,
         typer.Option("--different-levels", help="Compare even flights of different levels."),
@@ -70,6 +72,8 @@ def compare(
 
             save_figure(folder / "compare.png", result)
             console.print(f"Figure: {folder / 'compare.png'}", highlight=False, soft_wrap=True)
+        if report:
+            leave_report(folder, console)
 
 
 def _name(group: list[Path]) -> str:

@@ -18,6 +18,7 @@ from crazyarena.runner.cli.common import (
 from crazyarena.runner.cli.options.figure import figure_choice
 from crazyarena.runner.cli.options.flight import Sandbox, flight_options
 from crazyarena.runner.cli.options.groups import takes
+from crazyarena.runner.cli.options.report import Report, leave_report
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 from crazyarena.runner.cli.options.view import view_options
 
@@ -71,6 +72,7 @@ def dry_run(
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode.")] = True,
     *,
     figure: str,
+    report: Report = True,
     vehicle: VehicleChoice,
     vehicle_spread: VehicleSpread = None,
     options: FlightOptions,
@@ -112,7 +114,18 @@ def dry_run(
             given = (level, seed, episodes, set_ or None, options.secret or None)
             drawn, options = _drawn(draw, given, options)
         if _flew_lsy(
-            submission, level, episodes, seed, out, set_ or [], record, options, view(), drawn
+            submission,
+            level,
+            episodes,
+            seed,
+            out,
+            set_ or [],
+            record,
+            options,
+            view(),
+            drawn,
+            report,
+            view_speed,
         ):
             return
         from crazyarena.runner.dry_run import DryRun
@@ -129,6 +142,7 @@ def dry_run(
             out=out,
             record=record,
             figure=figure,
+            report=report,
             options=options,
             vehicle=vehicle,
             spread=vehicle_spread,
@@ -170,6 +184,8 @@ def _flew_lsy(
     options: FlightOptions,
     view: ViewOptions | None,
     drawn: LoadedDraw | None = None,
+    report: bool = True,
+    pace: float = 1.0,
 ) -> bool:
     """Fly a controller of lsy_drone_racing, told by its file; False if this is none."""
     looks_like = submission is not None or drawn is not None or (level or "").endswith(".toml")
@@ -195,11 +211,7 @@ def _flew_lsy(
             f"level {level}: pass the file of a lsy_drone_racing controller, such as "
             "examples/racer_state/racer_state.py"
         )
-    if view is not None:
-        raise InputError(
-            "--view: flights of lsy_drone_racing are not shown live; leave it out, and then: "
-            "crazyarena replay with the results folder"
-        )
+    assert wanted is not None
     if options.budget != type(options.budget)():
         raise InputError(
             "--step-limit, --episode-limit, --trial-limit: levels of lsy_drone_racing have none of "
@@ -219,7 +231,7 @@ def _flew_lsy(
     console = Console()
     run = LsyRun(
         submission,
-        drawn.level if drawn is not None else level or "lsy/level0",  # type: ignore[arg-type]
+        wanted,
         overrides,
         episodes=episodes or 1,
         seed=seed,
@@ -231,6 +243,8 @@ def _flew_lsy(
         require_sandbox=options.require_sandbox,
         console=console,
         seeds=None if drawn is None else drawn.seeds,
+        view=view,
+        pace=pace,
     )
     result = run.run()
     tell(result, console)
@@ -239,6 +253,9 @@ def _flew_lsy(
     told = "The seed is secret" if options.secret else f"Seed {result.seed}"
     where = shown_line(str(run.out))
     console.print(f"{told}. Results in {where}", highlight=False, markup=False, soft_wrap=True)
+    if report and run.out is not None:
+        leave_report(run.out, console)
+    run.finish()
     if result.cut_short is not None:
         raise StorageError(result.cut_short)
     if not result.clean:

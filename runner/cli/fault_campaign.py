@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
+from crazyarena.runner.cli.options.report import Report, leave_report
 
 
 def register(app: typer.Typer) -> None:
@@ -44,6 +45,7 @@ def fault_campaign(
             min=1, help="Flights side by side. Default: 1, with --udp 2.", show_default=False
         ),
     ] = None,
+    report: Report = True,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -65,7 +67,7 @@ def fault_campaign(
         from rich.progress import Progress
 
         from crazyarena.errors import InputError
-        from crazyarena.runner.campaign import report
+        from crazyarena.runner.campaign import report as told
         from crazyarena.runner.campaign import run as virtual
         from crazyarena.runner.campaign.faults import ALL_FAULTS
         from crazyarena.runner.campaign.outcome import failures
@@ -81,7 +83,7 @@ def fault_campaign(
             if in_real_time
             else virtual.run_campaign
         )
-        title = report.UDP if in_real_time else report.SIMULATED
+        title = told.UDP if in_real_time else told.SIMULATED
         workers = workers or (2 if in_real_time else 1)
         name = "fault-campaign-radio" if radio else "fault-campaign-udp"
         out = out or Path("runs", name if in_real_time else "fault-campaign")
@@ -92,9 +94,9 @@ def fault_campaign(
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task("flying", total=seeds * len(names))
             outcomes = run(names, seeds, level, workers, lambda outcome: progress.advance(task))
-        report.write_json(out / "campaign.json", outcomes, title)
-        report.save_figure(out / "campaign.png", outcomes, title)
-        console.print(report.table(outcomes, title))
+        told.write_json(out / "campaign.json", outcomes, title)
+        told.save_figure(out / "campaign.png", outcomes, title)
+        console.print(told.table(outcomes, title))
         failed = failures(outcomes, margin)
         safe = sum(outcome.safe for outcome in outcomes)
         console.print(f"{safe} of {len(outcomes)} flights ended in a safe state. Results in {out}")
@@ -105,5 +107,7 @@ def fault_campaign(
                 style="red",
                 highlight=False,
             )
+        if report:
+            leave_report(out, console)
     if failed:
         raise typer.Exit(EXIT_NOT_CLEAN)

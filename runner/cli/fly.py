@@ -23,6 +23,7 @@ from crazyarena.runner.cli.options.figure import figure_choice
 from crazyarena.runner.cli.options.flight import flight_options
 from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.mocap import HOST_HELP, OPTION_HELP, SOURCE_HELP
+from crazyarena.runner.cli.options.report import Report
 from crazyarena.runner.cli.options.stops import Waive, flight_stops
 from crazyarena.runner.cli.options.vehicle import VehicleSet, VehicleSpread
 from crazyarena.runner.cli.options.view import view_options
@@ -100,6 +101,7 @@ def fly(
     record: Annotated[bool, typer.Option(help="Write an MCAP file an episode.")] = True,
     *,
     figure: str,
+    report: Report = True,
     options: FlightOptions,
     real_time: Annotated[
         bool, typer.Option(help="Ask for real-time scheduling and locked memory.")
@@ -186,6 +188,7 @@ def fly(
             out,
             record,
             figure,
+            report=report,
             options=replace(options, secret=secret),
             open_rig=open_rig,
             yes=yes or not real,

@@ -10,6 +10,7 @@ import typer
 
 from crazyarena.runner.cli.common import bad_input_exits
 from crazyarena.runner.cli.options.groups import takes
+from crazyarena.runner.cli.options.report import Report, leave_report
 from crazyarena.runner.cli.options.vehicle import vehicle_choice
 from crazyarena.whole_file import write_whole
 
@@ -52,6 +53,7 @@ def validate(
         Path | None, typer.Option(help="Folder for validate.png and validate.json. Default: here.")
     ] = None,
     figure: Annotated[bool, typer.Option(help="Write validate.png.")] = True,
+    report: Report = True,
 ) -> None:
     """Fly logged flights again in simulation, and tell how far the paths are apart.
 
@@ -92,3 +94,5 @@ def validate(
             raise InputError(f"--out {folder}: cannot write there: {error.strerror}") from error
         written = "validate.json, validate.png" if figure else "validate.json"
         console.print(f"Written to {folder}: {written}", highlight=False, soft_wrap=True)
+        if report:
+            leave_report(folder, console)

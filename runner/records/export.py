@@ -6,7 +6,7 @@ import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from crazyarena.errors import InputError
 from crazyarena.plain_text import file_name, shown, shown_in, shown_line
 from crazyarena.whole_file import write_whole
+
+if TYPE_CHECKING:
+    from crazyarena.runner.records.mcap_records import Records
 
 _FIELD = re.compile(r"^float64(?:\[(\d{1,6})\])?\s+(\w+)$", re.ASCII)
 _MOST_COLUMNS = 10_000
@@ -72,8 +75,8 @@ def recordings(run: Path) -> list[Path]:
     return files
 
 
-def read(file: Path) -> Recording:
-    """Read a recording, finished or cut short.
+def read(file: Path, records: Records | None = None) -> Recording:
+    """Read a recording, finished or cut short; ``records``: what it holds, if that is read.
 
     Raises
     ------
@@ -82,7 +85,7 @@ def read(file: Path) -> Recording:
     """
     from crazyarena.runner.records.mcap_records import read_records
 
-    found = read_records(file)
+    found = read_records(file) if records is None else records
     tables: dict[str, NDArray[np.float64]] = {}
     columns: dict[str, list[str]] = {}
     events: list[dict[str, Any]] = []

@@ -21,7 +21,7 @@ from crazyarena.runner.records import export, mcap_file
 from crazyarena.runner.records.bodies import distances
 from crazyarena.runner.records.foxglove_schemas import NUMBERS, SCHEMAS
 from crazyarena.runner.records.marks import marks
-from crazyarena.runner.records.mcap_records import read_records
+from crazyarena.runner.records.mcap_records import Records, read_records
 from crazyarena.runner.records.recorded_level import recorded_level
 from crazyarena.runner.records.scene import _box, _cylinder, _entity, _vector
 from crazyarena.runner.records.shown_scene import nominal_track
@@ -78,7 +78,8 @@ def write_foxglove(file: Path, out: Path) -> Path:
 
 
 def _messages(file: Path) -> Iterator[_Message]:
-    recording = export.read(file)
+    records = read_records(file)
+    recording = export.read(file, records)
     states = recording.tables.get("state")
     if states is None or not len(states):
         raise InputError(f"{file}: holds no flight: no row of topic /state")
@@ -98,14 +99,15 @@ def _messages(file: Path) -> Iterator[_Message]:
     # One row of each hundredth of a second, and the last.
     slots = np.floor(time[rows] * _RATE + 1e-6)
     kept = rows[np.unique(np.append(np.flatnonzero(np.diff(slots, prepend=-1.0)), len(rows) - 1))]
-    yield from _scenes(file)
+    scenes = list(_scenes(records))
+    yield from scenes
     began = float(time[kept[0]])
     level = recorded_level(recording.metadata)
     if level is not None:
         yield 0, "/arena", _update(_fence(level), *nominal_track(level))
     yield _ns(began), "/drone/model", _update(_drone(began))
     yield _ns(began), "/drone/path", _update(_path(position[kept], began))
-    track: list[dict[str, Any]] = next((m[2]["entities"] for m in _scenes(file)), [])
+    track: list[dict[str, Any]] = next((m[2]["entities"] for m in scenes), [])
     yield from _flight(time[kept], position[kept], turn[kept], velocity[kept], track)
     yield from _setpoints(recording, time[kept], states[kept], named)
     yield from _log(recording.events)
@@ -169,9 +171,8 @@ def _log(events: list[dict[str, Any]]) -> Iterator[_Message]:
         }  # fmt: skip
 
 
-def _scenes(file: Path) -> Iterator[_Message]:
+def _scenes(found: Records) -> Iterator[_Message]:
     """The updates of the track, as they were recorded."""
-    found = read_records(file)
     for number, channel in found.channels.items():
         if channel.topic != "/scene":
             continue

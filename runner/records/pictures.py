@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crazyarena.levels.schema import Level
+from crazyarena.plain_text import shown_line
 from crazyarena.runner.judging.referee import (
     COLLISION,
     CONSTRAINT_VIOLATION,
@@ -114,14 +116,17 @@ class Pictures:
         self._files[file] = result
         self._drawer.draw(file, shown)
 
-    def finish(self, out: Path, isolated: bool) -> list[Path]:
-        """Wait until everything is drawn; returns what is, and names it in the results."""
+    def end(self, out: Path, isolated: bool) -> None:
+        """All has been flown: what is left to draw may be drawn now."""
         for result, shown in self._waiting:
             self._draw(out, result, shown)
         self._waiting.clear()
         if len(self._tiles) > 1:
             self._files[out / SHEET] = None
             self._drawer.draw(out / SHEET, self._level, self._tiles, isolated)
+
+    def finish(self) -> list[Path]:
+        """Wait until everything is drawn; returns what is, and names it in the results."""
         try:
             self._drawer.finish()
         except KeyboardInterrupt:
@@ -132,6 +137,17 @@ class Pictures:
             if episode is not None:
                 episode.files["figure"] = file.name
         return drawn
+
+    def told(self, drawn: Sequence[Path]) -> list[str]:
+        """What is said of the pictures: of many the first and the last."""
+        few = drawn if len(drawn) <= 3 else [drawn[0], drawn[-1]]
+        lines = [f"Figure: {shown_line(str(file))}" for file in few]
+        if len(few) < len(drawn):
+            lines.append(f"... and {len(drawn) - len(few)} more figures there")
+        if drawn and self._choice.left:
+            told = f"{self._choice.left} episodes are on {SHEET} alone"
+            lines.append(f"{told}; --figure all draws each, crazyarena replay shows all")
+        return lines
 
     @property
     def refused(self) -> list[str]:

@@ -321,6 +321,9 @@ class GuardedFleet:
     def send_external_poses(self, poses: Mapping[int, Pose]) -> None:
         self.gate.runner.send_external_poses(poses)
 
+    def frozen(self) -> list[str]:
+        return [self._names[vehicle] for vehicle in self.gate.frozen()]
+
     def telemetry(self, vehicle: int) -> Telemetry:
         return self._link.telemetry(vehicle)
 

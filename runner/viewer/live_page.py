@@ -35,6 +35,8 @@ _SOURCE = "operator's page"
 _STOP_LABEL = "STOP – cut the motors"
 _LAND_LABEL = "LAND"
 _ARM_LABEL = "Hold to arm"
+_READ_ONLY = '<div style="padding:0.2em 1em;font-size:0.85em">read only</div>'
+_NOT_THE_TOKEN = _READ_ONLY.replace("read only", "read only: this is not the token")
 # Buttons one can hit without looking for them.
 _LOOKS = """<style>
 button[data-block=true][data-with-left-section=true] {
@@ -225,6 +227,7 @@ class _Console:
         self._buttons: list[Any] = []
         self._arm: Any = None
         self._gate: list[Any] = []
+        self._letters = threading.Lock()
         self._was: tuple[bool, str] | None = None
         self._held = (-math.inf, -math.inf)  # since, last
         self._alarm = False
@@ -237,24 +240,29 @@ class _Console:
         gui = self._client.gui
         with self._tab:
             if not by_token:
-                text = '<div style="padding:0.2em 1em;font-size:0.85em">read only</div>'
-                self._gate = [gui.add_html(text, order=1)]
+                self._gate = [gui.add_html(_READ_ONLY, order=1)]
                 return
             field = gui.add_text(
                 "token", "", order=1, hint="The secret that lets you stop and arm."
             )
-            button = gui.add_button("Use token", order=2)
-        self._gate = [field, button]
+            told = gui.add_html(_READ_ONLY, order=2)
+        self._gate = [field, told]
 
-        @button.on_click
+        # No button beside it: the browser sends only the newest of what changes within 50 ms
+        # (viser's throttle), so that a click soon after the last letter would lose letters.
+        @field.on_update
         def _(event: Any) -> None:
-            if self._shown.knows(field.value):
-                for part in self._gate:
-                    part.remove()
-                self.allow()
-            else:
-                field.value = ""
-                self._say("This is not the token", "read only", "red")
+            # Letters are told by several threads, each of which may see the last one.
+            with self._letters:
+                if not self._gate:
+                    return
+                if self._shown.knows(field.value):
+                    for part in self._gate:
+                        part.remove()
+                    self._gate = []
+                    self.allow()
+                else:
+                    told.content = _NOT_THE_TOKEN if field.value else _READ_ONLY
 
     def allow(self) -> None:
         """Buttons that stop, land and arm."""

@@ -95,7 +95,8 @@ def _names(files: list[Path]) -> list[str]:
 
 def read_flight(file: Path, name: str | None = None) -> Flight:
     """Read a recording, finished or cut short; raises InputError if it holds no flight."""
-    recording = export.read(file)
+    records = read_records(file)
+    recording = export.read(file, records)
     states = recording.tables.get("state")
     if states is None or not len(states):
         raise InputError(f"{file}: holds no flight: no row of topic /state")
@@ -104,7 +105,7 @@ def read_flight(file: Path, name: str | None = None) -> Flight:
     if not (np.isfinite(time).all() and (np.diff(time) >= 0.0).all()):
         raise InputError(f"{file}: topic /state: its times do not rise")
     level = recorded_level(recording.metadata)
-    updates = _updates(read_records(file))
+    updates = _updates(records)
     scene: dict[str, Any] = {
         "title": recording.metadata.get("level", ""),
         "track": updates[0][1] if updates and updates[0][0] <= time[0] else [],

@@ -40,6 +40,7 @@ class VehicleMemory:
     flying_since: float | None = None
     ending: bool = False
     forwarded: Pose | None = None
+    repeated: int = 0
     setpoint: Point | None = None  # last streamed position
     velocity: Point = (0.0, 0.0, 0.0)
     setpoint_time: float = -math.inf
@@ -112,6 +113,7 @@ class VehicleMemory:
         self.velocity = (0.0, 0.0, 0.0)
         if isinstance(command, c.FullState | c.Position):
             self.setpoint = as_point(command.position)
+            self.heading = float(command.yaw), now
         if isinstance(command, c.FullState):
             self.velocity = as_point(command.velocity)
 

@@ -12,6 +12,7 @@ from crazyarena.errors import InputError
 from crazyarena.safety.admission.memory import Refused, VehicleMemory
 from crazyarena.safety.attitude_path import AttitudeLoss
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.flight_model import GRAVITY
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.link_loss import LinkLoss, Moving, UsualSpeed, largest_share
 from crazyarena.safety.observation import LAG, Point, as_point
@@ -24,6 +25,10 @@ _PEAK_ACCELERATION = 7.5132
 _VELOCITY_HORIZON = 0.5  # s of a velocity setpoint that have to end inside the fence
 _MEMORY = 0.5  # s after which the last setpoint no longer bounds the next
 _MOST_LAG = 0.4  # m
+# rad/s and cosine of a tilt, above which a vehicle needs its motors to be upright; what it may be
+# asked to climb with then, of what they have over the weight (racers ask for all of it at times);
+# rad and rad/s by which it may be turned.
+_TIPS, _LEANS, _AMPLE, _FACES, _YAWS = 2.0, 0.9, 1.5, 0.2, 1.0
 _WAY_STEP = 0.025  # m, between looks along a way
 OUT_IF_LOST = "it would carry the vehicle out of the fence if the link were lost now"
 
@@ -194,6 +199,62 @@ class Room:
             if not self.fence.is_convex:
                 point = self._in_sight(where, point, reasons)
         return point
+
+    def upright(
+        self,
+        point: Point,
+        memory: VehicleMemory,
+        reasons: list[str],
+        velocity: Point = (0.0, 0.0, 0.0),
+        acceleration: Point = (0.0, 0.0, 0.0),
+    ) -> Point:
+        """Lower a place to which a vehicle that is busy with its attitude would climb with all it
+        has: the motors have nothing left then to stop its turn, and it goes over."""
+        state, model = self._busy(memory.vehicle), self.limits.vehicle
+        if state is None or not model.follows_velocity:
+            return point
+        height, climb = float(state.position[2]), float(state.velocity[2])
+        spare, stiffness = GRAVITY * (model.lift - 1.0), model.stiffness[2]
+        taken = model.feed[2] * acceleration[2] + model.damping[2] * (velocity[2] - climb)
+        if taken + stiffness * (point[2] - height) <= _AMPLE * spare:
+            return point
+        highest = min(point[2], height + max(0.0, spare - taken) / stiffness)
+        reasons.append(
+            f"height {point[2]:.2f} m takes all thrust while the vehicle leans or tips, "
+            f"{highest:.2f} m for now"
+        )
+        return point[0], point[1], highest
+
+    def facing(self, yaw: float, memory: VehicleMemory, now: float, reasons: list[str]) -> float:
+        """Keep a new heading near that of a vehicle that is busy with its attitude: what motors
+        turn it with is missing elsewhere, too. One that it had before it may have."""
+        state = self._busy(memory.vehicle)
+        if state is None or not math.isfinite(yaw):
+            return yaw
+        last, age = memory.heading[0], now - memory.heading[1]
+        step = abs(math.remainder(yaw - last, math.tau))
+        seen = yaw_of(state.quaternion)
+        turn = math.remainder(yaw - seen, math.tau)
+        if abs(turn) <= _FACES or (age <= _MEMORY and step <= _YAWS * age + 1e-3):
+            return yaw
+        reasons.append(f"heading {yaw:.2f} rad turns by {turn:.2f} while the vehicle leans or tips")
+        return seen + math.copysign(_FACES, turn)
+
+    def turning(self, rate: float, memory: VehicleMemory, reasons: list[str]) -> float:
+        """The same for a rate of yaw, rad/s."""
+        if abs(rate) <= _YAWS or self._busy(memory.vehicle) is None:
+            return rate
+        reasons.append(f"yaw rate of {rate:.2f} rad/s while the vehicle leans or tips")
+        return math.copysign(_YAWS, rate)
+
+    def _busy(self, vehicle: int) -> VehicleState | None:
+        """The vehicle's state, if it leans or tips so that it needs its motors to be upright."""
+        state = self.state(vehicle)
+        if state is None:
+            return None
+        x, y, _, _ = (float(value) for value in state.quaternion)
+        rate = math.hypot(*state.angular_velocity[:2].tolist())
+        return state if rate > _TIPS or 1.0 - 2.0 * (x * x + y * y) < _LEANS else None
 
     def _in_sight(self, where: Point, point: Point, reasons: list[str]) -> Point:
         """``point``, or the last place before fence or zone on the straight way to it."""

@@ -33,9 +33,11 @@ def full_state(
         if slower is not None:
             reasons.append(OUT_IF_LOST)
             place, velocity, omega = slower
+    place = room.upright(place, memory, reasons, velocity, acceleration)
+    yaw = room.facing(float(m.yaw), memory, now, reasons)
     if not reasons:
         return m, reasons
-    return c.FullState(place, velocity, acceleration, float(m.yaw), omega), reasons
+    return c.FullState(place, velocity, acceleration, yaw, omega), reasons
 
 
 def position(
@@ -44,13 +46,15 @@ def position(
     reasons: list[str] = []
     place = room.inside(as_point(m.position), memory.vehicle, reasons, "position")
     place = room.reachable(place, memory, now, reasons)
+    place = room.upright(place, memory, reasons)
     motion = room.motion(memory.vehicle)
     if motion is not None:
         nearer = room.link_loss.position(motion, place)
         if nearer is not None:
             reasons.append(OUT_IF_LOST)
             place = nearer
-    return (replace(m, position=place) if reasons else m), reasons
+    yaw = room.facing(float(m.yaw), memory, now, reasons)
+    return (replace(m, position=place, yaw=yaw) if reasons else m), reasons
 
 
 def velocity_world(
@@ -61,7 +65,8 @@ def velocity_world(
     where = room.where(memory.vehicle)
     if where is not None:
         velocity = room.near_fence(where, velocity, reasons)
-    return (replace(m, velocity=velocity) if reasons else m), reasons
+    rate = room.turning(float(m.yaw_rate), memory, reasons)
+    return (replace(m, velocity=velocity, yaw_rate=rate) if reasons else m), reasons
 
 
 def hover(room: Room, m: c.Hover, memory: VehicleMemory, now: float) -> tuple[c.Command, list[str]]:
@@ -78,11 +83,13 @@ def hover(room: Room, m: c.Hover, memory: VehicleMemory, now: float) -> tuple[c.
         wx, wy, _ = room.near_fence((x, y, z), (*world, 0.0), reasons)
         velocity = (cos * wx + sin * wy, cos * wy - sin * wx, 0.0)
         height = room.inside((x, y, height), memory.vehicle, reasons, "height at")[2]
+        height = room.upright((x, y, height), memory, reasons)[2]
     else:
         low, high = room.fence.bounds
         height = min(max(height, low[2]), high[2] - room.fence.soft_margin)
         if height != m.height:
             reasons.append(f"height {m.height:g} m is outside the fence")
+    rate = room.turning(float(m.yaw_rate), memory, reasons)
     if not reasons:
         return m, reasons
-    return replace(m, vx=velocity[0], vy=velocity[1], height=height), reasons
+    return replace(m, vx=velocity[0], vy=velocity[1], yaw_rate=rate, height=height), reasons

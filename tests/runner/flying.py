@@ -91,9 +91,13 @@ class Flying:
     ----------
     runner: the process. pilot: process id of its flight process. part: the recording so far.
     flown: s of the run that were on disk when the block was entered.
+
+    Parameters
+    ----------
+    seconds: it flies on for, if nobody disturbs it; longer than it takes to get ready for that.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, seconds: float = 15.0) -> None:
         self.folder = folder
         self.out = folder / "out"
         self.part = self.out / "episode_000.mcap.part"
@@ -109,7 +113,7 @@ class Flying:
         self.runner = crazyarena(
             "fly", entry, "--uri", self.arena.uri, "--mocap", "zenoh", "--mocap-host",
             self.arena.endpoint, "--yes", "--no-figure", "--out", self.out, *waived,
-            *sets(EMPTY),
+            *sets([*EMPTY, f"episode_length={seconds}"]),
             env={**os.environ, "CRAZYARENA_RUNTIME_DIR": str(folder)}, stdin=subprocess.DEVNULL,
         )  # fmt: skip
 

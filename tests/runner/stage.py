@@ -85,9 +85,10 @@ class Stage:
     places: (x, y) of the vehicles, m; the level's start by default.
     names: other names under which the cameras see bodies; None for not at all.
     noses: rad by which bodies' noses lie to the left of their vehicles'.
+    seed: of the cameras' noise.
     """
 
-    def __init__(self, level="sim2real", overrides=(), places=None, names=None, noses=None):
+    def __init__(self, level="sim2real", overrides=(), places=None, names=None, noses=None, seed=3):
         draw = LevelRandom(load_level(level, list(overrides))).reset()
         places = places or [(draw.start[0], draw.start[2])]
         self._hand = Hand()
@@ -110,7 +111,7 @@ class Stage:
             self.swarm,
             clock=clock,
             port=0,
-            cameras=SimSource(clock, model=CameraModel(), seed=3),
+            cameras=SimSource(clock, model=CameraModel(), seed=seed),
             publisher=self._publisher,
         )
         self.uris = self.server.uris

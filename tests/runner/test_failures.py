@@ -122,7 +122,9 @@ def test_a_recording_that_the_disk_refuses_ends_the_run_with_a_message(pilot, tm
     recording = export.read(out / "episode_000.mcap.part")
     assert not recording.complete
     assert len(recording.tables["state"]) > 150
-    assert sorted(p.name for p in out.iterdir()) == ["episode_000.mcap.part", "result.json"]
+    names = sorted(p.name for p in out.iterdir())
+    assert names == ["episode_000.mcap.part", "report.html", "result.json"]
+    assert "The recording was cut short" in (out / "report.html").read_text()
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from benchmarks import kill_campaign as kill
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("name", ["dry-run", "evaluate"])
+@pytest.mark.parametrize("name", ["dry-run", "evaluate", "tournament"])
 def test_what_is_left_can_be_read(tmp_path, name):
     tally = kill.campaign(name, 4, random.Random(3), tmp_path)
     assert tally.runs == tally.readable == 4, tally.troubles

@@ -11,12 +11,15 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from crazyarena.safety import gate, guard, preflight, tipping, watchdog
-from crazyarena.safety.admission import parameters, plans
+from crazyarena.runner.contestant.compute import Budget
+from crazyarena.safety import estop_socket, gate, guard, heading, preflight, tipping, watchdog
+from crazyarena.safety.admission import attitudes, parameters, plans
 from crazyarena.safety.admission.fitters import FITTERS
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room
 from crazyarena.safety.admission.trajectory_memory import TrajectoryMemory
+from crazyarena.safety.attitude_path import AttitudeLoss
+from crazyarena.safety.estop import EmergencyStop
 from crazyarena.safety.gate import CommandGate
 from crazyarena.safety.heading import HeadingWatch, Turned
 from crazyarena.safety.link_loss import LinkLoss
@@ -51,6 +54,11 @@ def _no_slots() -> None:
 def _of_any_moment(self: Pairing, told: Any) -> Any:
     while self._poses:
         yield *self._poses.popleft(), tuple(told.state.angular_velocity)
+
+
+def _generous(self: Budget, *args: Any, **limits: Any) -> None:
+    for name in ("step", "episode", "trial"):
+        object.__setattr__(self, name, 5.0)
 
 
 def _deaf_to_avoidance() -> None:
@@ -105,16 +113,59 @@ OTHERS: dict[str, tuple[Callable[[], None], str]] = {
     ),
     # Poses are compared with the rates that were told last, of whatever moment.
     "pairing": (_without(Pairing, "told", _of_any_moment), "test_pairing.py"),
+    # What turns much within half a second tells nothing.
+    "wild": (_without(heading, "_WILD", 0.3), "test_heading.py"),
     "nudge": (_without(TakeOffCheck, "nudged", lambda self, pose, *args: pose), "test_nudge.py"),
     "nudges_on": (_without(TakeOffCheck, "_needed", lambda self, now: True), "test_nudge.py"),
     # A turned body is told before anybody knows how far it is turned.
     "known": (_without(Turned, "known", True), "test_monitors.py"),
     "lookout": (_without(Lookout, "_judge", lambda self, *args: None), "test_lookout.py"),
+    # Attitude setpoints: how far out a lost link carries, falls, headings that jump, and what is
+    # asked for before it shows.
+    "attitude_loss": (
+        _without(AttitudeLoss, "held_back", lambda self, *args: None),
+        "test_attitudes.py",
+    ),
+    "kept_up": (
+        _without(attitudes, "_kept_up", lambda room, memory, asked, reasons: asked),
+        "test_attitudes.py",
+    ),
+    "turned": (
+        _without(attitudes, "_turned", lambda room, yaw, *args: yaw),
+        "test_attitudes.py",
+    ),
+    "pushed": (_without(CommandGate, "pushed", lambda self, vehicle: None), "test_attitudes.py"),
+    # The stop socket: nobody puts it back, strangers are heeded, hung programs are waited for.
+    "mend": (_without(estop_socket._Door, "mend", lambda self: None), "test_estop_socket.py"),
+    "strangers_stop": (
+        _without(estop_socket, "sender_of", lambda extra: os.getuid() + 1),
+        "test_estop_socket.py",
+    ),
+    "confirmed": (
+        _without(EmergencyStop, "outcome", lambda self, final=False: "stopped"),
+        "test_estop_socket.py",
+    ),
+    # Poses that repeat are not called so.
+    "frozen": (_without(CommandGate, "frozen", lambda self: []), "test_gate.py"),
+    # Whoever skims along the floor is taken for one that stands.
+    "skims": (
+        _without(watchdog, "_SKIMS", math.inf),
+        "runner/campaign/test_attitude_faults.py::test_skimming_along_the_floor_is_flying",
+    ),
     # Collision avoidance on board goes on under the watchdog.
     "avoiding": (_deaf_to_avoidance, "test_gate.py"),
+    # A vehicle that tips may be sent up and turned with all it has.
+    "upright": (_without(Room, "upright", lambda self, point, *args: point), "test_gate.py"),
+    "facing": (_without(Room, "facing", lambda self, yaw, *args: yaw), "test_gate.py"),
+    "turning": (_without(Room, "turning", lambda self, rate, *args: rate), "test_gate.py"),
     "in_sight": (
         _without(Room, "_in_sight", lambda self, where, point, reasons: point),
         "test_gate.py",
+    ),
+    # What a contestant may use up.
+    "budget": (
+        _without(Budget, "__init__", _generous),
+        "runner/contestant/test_hostile.py::test_a_contestant_may_not_use_up_everybodys_day",
     ),
     "nose": (_without(tipping, "nose_between", lambda own, body: 0.0), "test_preflight.py"),
     "axes": (_without(preflight, "explain_axes", lambda *args: None), "test_preflight.py"),

@@ -463,3 +463,28 @@ def test_a_session_that_can_is_asked_to_land_and_does_not_stop(stop, link, tmp_p
 def test_a_session_without_a_watchdog_says_that_it_cannot_land(source, link, tmp_path):
     assert answers(tmp_path, land=True) == ["refused: nothing here can land it"]
     assert not link.stopped.is_set()
+
+
+def test_a_listener_that_is_closed_while_it_is_busy_leaves_nothing(
+    stop, said, tmp_path, monkeypatch
+):
+    """Nor does it say that its socket was taken from it."""
+    busy, go_on = threading.Event(), threading.Event()
+    monkeypatch.setattr(estop_socket, "_LOOK", 0.0)
+    monkeypatch.setattr(estop_socket, "_CLOSES", 0.05)
+    source = SocketSource(stop, tmp_path, say=said.append)
+    confirm = source._confirm
+
+    def late():
+        busy.set()
+        go_on.wait(PATIENCE)
+        confirm()
+
+    source._confirm = late
+    assert busy.wait(PATIENCE)
+    source.close()
+    go_on.set()
+    source._thread.join(PATIENCE)
+    assert not source._thread.is_alive()
+    assert list(tmp_path.iterdir()) == []
+    assert said == []

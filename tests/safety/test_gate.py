@@ -15,6 +15,7 @@ from crazyarena.clock import VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import BackendError, CommandError
 from crazyarena.safety.fence import Zone
+from crazyarena.safety.flight_model import FlightModel
 from crazyarena.safety.gate import CommandGate, Policy, Refused
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.shapes import Box
@@ -52,10 +53,12 @@ class Sink:
     def close(self) -> None: ...
 
 
-def state_at(position: Any, time: float = 0.0, velocity: Any = ZERO) -> VehicleState:
-    quaternion = np.array([0.0, 0.0, 0.0, 1.0])
+def state_at(
+    position: Any, time: float = 0.0, velocity: Any = ZERO, lean: float = 0.0, rates: Any = ZERO
+) -> VehicleState:
+    quaternion = np.array([math.sin(0.5 * lean), 0.0, 0.0, math.cos(0.5 * lean)])
     return VehicleState(
-        time, np.array(position, float), np.array(velocity, float), quaternion, ZERO
+        time, np.array(position, float), np.array(velocity, float), quaternion, np.array(rates)
     )
 
 
@@ -66,13 +69,14 @@ class Rig:
         self.log: list[tuple[Any, Any, str, int | None]] = []
         self.events: list[Any] = []
         self.where = where
+        self.turned = {k: options.pop(k) for k in ("lean", "rates") if k in options}
         self.gate = CommandGate(
             self.sink,
             options.pop("fence", None) or fence(),
             self.clock,
             options.pop("limits", None),
             state=lambda vehicle: (
-                None if self.where is None else state_at(self.where, velocity=velocity)
+                None if self.where is None else state_at(self.where, 0.0, velocity, **self.turned)
             ),
             on_command=lambda *args: self.log.append(args),
             on_event=self.events.append,
@@ -285,6 +289,58 @@ def test_far_from_the_fence_or_without_the_limit_no_setpoint_is_held_back():
     command = full((2.5, 0.0, 1.0), (2.0, 0.0, 0.0))
     assert rig.send(command) is command
     assert rig.send(c.VelocityWorld((0.9, 0.0, 0.0))).velocity == (0.9, 0.0, 0.0)
+
+
+TIPS = {"rates": (-5.0, 0.0, 0.0)}
+
+
+@pytest.mark.parametrize("busy", [TIPS, {"lean": 0.6}])
+def test_a_vehicle_that_is_busy_with_its_attitude_is_asked_for_little_else(busy):
+    """Motors that climb or turn with all they have cannot stop it from going over."""
+    above = (0.0, 0.0, 1.5)
+    rig = Rig(**busy)
+    for sent in (
+        rig.send(c.Position(above, 2.0)),
+        rig.send(c.FullState(above, ZERO, ZERO, 2.0, ZERO)),
+    ):
+        assert 1.0 < sent.position[2] < 1.2
+        assert 0.0 < sent.yaw < 0.3
+    assert "takes all thrust" in rig.events[-1].detail
+    sent = rig.send(c.Hover(0.0, 0.0, 3.0, 1.5))
+    assert 1.0 < sent.height < 1.2
+    assert 0.0 < sent.yaw_rate <= 1.0
+    assert rig.send(c.VelocityWorld(ZERO, -4.0)).yaw_rate == -1.0
+    # What it climbs with already, and what pushes it up besides, count as well.
+    assert rig.send(full((0.0, 0.0, 1.05), acceleration=(0.0, 0.0, 9.0))).position[2] < 1.02
+    assert "turn" in Rig(policy=Policy.REFUSE, **busy).refused(c.Position((0.0, 0.0, 1.0), 2.0))
+
+
+def test_what_a_racer_asks_of_it_then_is_left_alone():
+    rig = Rig(velocity=(2.0, 0.0, 0.0))
+    command = c.FullState((0.1, 0.0, 1.05), (2.0, 0.0, 0.2), (3.0, 0.0, 1.0), 0.4, ZERO)
+    assert rig.send(command) is command
+    # The heading that it has been asked for all along may be away from the vehicle's.
+    rig.turned.update(TIPS)
+    for _ in range(30):
+        rig.wait(0.03)
+        assert rig.send(command) is command
+
+
+def test_a_calm_vehicle_may_climb_and_turn():
+    rig = Rig(lean=0.2, rates=(1.0, 0.5, 3.0))
+    for command in (
+        c.Position((0.0, 0.0, 1.2), 2.0),
+        c.Hover(0.0, 0.0, 3.0, 1.5),
+        c.VelocityWorld(ZERO, -4.0),
+    ):
+        assert rig.send(command) is command
+
+
+def test_the_pid_limits_its_climb_by_itself():
+    limits = Limits(vehicle=FlightModel(controller=1, follows_velocity=False))
+    rig = Rig(limits=limits, **TIPS)
+    command = c.Position((0.0, 0.0, 1.2), 0.1)
+    assert rig.send(command) is command
 
 
 def test_a_trajectory_is_refused_on_which_a_cut_would_lead_out():
@@ -634,6 +690,10 @@ def test_poses_nobody_should_believe_are_not_forwarded():
     rig.gate.send_external_poses({9: good})
     assert len(rig.sink.poses) == 1
     assert rig.gate.poses_dropped == 3
+    assert rig.gate.frozen() == []
+    for _ in range(20):
+        rig.gate.send_external_poses({1: Pose(good.position.copy())})
+    assert rig.gate.frozen() == [1]
     # On the ground the vehicle may be carried anywhere; in flight it cannot jump.
     rig.sink.state = state_at((0.0, 0.0, 1.0))
     rig.gate.send_external_poses({1: Pose(np.array([2.0, 0.0, 1.0]))})

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from crazyarena.runner.campaign.turned import fly_turned
 from crazyarena.safety.heading import GRAVITY, HeadingWatch, Turned
@@ -75,6 +76,31 @@ def test_small_tilts_show_it_by_the_way_that_they_push():
     found = watched(0.8, size=0.004, noise=1.0, seconds=6)
     assert math.degrees(abs(found.angle - 0.8)) < 10.0
     assert found.surely > 0.2
+
+
+@pytest.mark.parametrize("size", [0.4, 0.9])
+@pytest.mark.parametrize("spin", [0.0, 3.0])
+def test_one_that_throws_itself_about_shows_it_as_well(size, spin):
+    """Turned by 0.7 rad, about all its axes: nothing is small then."""
+    rng = np.random.default_rng(2)
+    watch, angle, place, speed = HeadingWatch(), 0.7, np.zeros(3), np.zeros(3)
+    step = 1.0 / RATE
+    for k in range(150):
+        t = k * step
+        before, now, after = (
+            Rotation.from_euler(
+                "ZYX", [spin * s, size * math.sin(6.0 * s + 1.0), size * math.sin(8.0 * s)]
+            )
+            for s in (t - 1e-4, t, t + 1e-4)
+        )
+        gyro = (before.inv() * after).as_rotvec() / 2e-4
+        speed = speed + step * GRAVITY * (now.apply([0.0, 0.0, 1.0]) - [0.0, 0.0, 1.0])
+        place = place + step * speed
+        noise = Rotation.from_rotvec(rng.normal(0.0, 0.008, 3))
+        seen = now * Rotation.from_euler("Z", angle) * noise
+        found = watch.update(t, tuple(place), tuple(seen.as_quat()), tuple(gyro))
+    assert math.degrees(abs(math.remainder(found.angle - angle, math.tau))) < 3.0
+    assert found.known
 
 
 def test_nothing_is_said_of_a_vehicle_that_does_not_move():

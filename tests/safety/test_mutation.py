@@ -21,15 +21,15 @@ MUTATIONS = [
 
 def run_suite(mutation: str) -> subprocess.CompletedProcess[str]:
     kind = mutation.partition(":")[0]
-    files = {"rule": "test_monitors.py", "gate": "test_gate.py"}
-    files |= {name: file for name, (_, file) in mutation_plugin.OTHERS.items()}
-    names = [files[kind]] if kind else sorted(set(files.values()))
+    files = {"rule": ["test_monitors.py"], "gate": ["test_gate.py", "test_attitudes.py"]}
+    files |= {name: [file] for name, (_, file) in mutation_plugin.OTHERS.items()}
+    names = files[kind] if kind else sorted({name for some in files.values() for name in some})
     return subprocess.run(
         [
             sys.executable,
             *("-m", "pytest", "-q", "-x", "-p", "tests.safety.mutation_plugin"),
             *("-p", "no:cacheprovider"),
-            *(f"tests/safety/{name}" for name in names),
+            *(f"tests/{name}" if "/" in name else f"tests/safety/{name}" for name in names),
         ],
         cwd=ROOT,
         env={**os.environ, "SAFETY_MUTATION": mutation, "PYTHONPATH": str(ROOT)},

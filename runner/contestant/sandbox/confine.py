@@ -17,6 +17,7 @@ from pathlib import Path
 from crazyarena.runner.contestant.sandbox import kernel, landlock, seccomp
 
 # Our own folders that the contestant's side imports from.
+ACADOS = "ACADOS_SOURCE_DIR"
 _OWN = (
     "crazyarena",
     "crazyarena.runner",
@@ -122,9 +123,21 @@ def package_paths() -> list[Path]:
     return list(dict.fromkeys([*paths, *(path.resolve() for path in paths)]))
 
 
+def acados_folder() -> Path | None:
+    """Where acados was built, if the one who runs us says so: solvers are compiled against it."""
+    named = os.environ.get(ACADOS)
+    if not named or not os.path.isabs(named):
+        return None
+    folder = Path(named).resolve()
+    parts = folder / "lib", folder / "interfaces" / "acados_template"
+    return folder if all(part.is_dir() for part in parts) else None
+
+
 def readable() -> list[Path]:
     """Everything a contestant may read outside of its own files."""
-    return [*interpreter_paths(), *package_paths(), *(Path(p) for p in _SYSTEM)]
+    acados = acados_folder()
+    solver = [] if acados is None else [acados]
+    return [*interpreter_paths(), *package_paths(), *solver, *(Path(p) for p in _SYSTEM)]
 
 
 def confine(box: Path, entered: list[str], in_bubblewrap: bool, own_root: bool) -> InForce:

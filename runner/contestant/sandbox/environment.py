@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 from crazyarena.runner.contestant.dialogue import PARAMETERS
 from crazyarena.runner.contestant.sandbox.box import Box
+from crazyarena.runner.contestant.sandbox.confine import ACADOS, acados_folder
 
 _THREADS = (
     "OPENBLAS_NUM_THREADS",
@@ -22,6 +23,10 @@ _THREADS = (
 def environment(box: Box, parameters: Mapping[str, object]) -> dict[str, str]:
     """Everything the process finds in its environment; homes and caches lie in its box."""
     kept = {k: os.environ[k] for k in ("PATH", "LANG", "LC_ALL", "TZ") if k in os.environ}
+    acados = acados_folder()
+    if acados is not None:
+        kept[ACADOS] = str(acados)
+        kept["LD_LIBRARY_PATH"] = str(acados / "lib")
     return {
         **kept,
         "HOME": str(box.home),

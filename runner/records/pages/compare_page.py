@@ -9,7 +9,7 @@ from crazyarena.runner.records.compare import Comparison
 from crazyarena.runner.records.compare_figure import title
 from crazyarena.runner.records.pages.charts import Line, chart
 from crazyarena.runner.records.pages.flown import read_flown, scene
-from crazyarena.runner.records.pages.page import page, section, table, text
+from crazyarena.runner.records.pages.page import page, section, table, text, wide
 
 _MOST_PATHS = 6  # of a group, in the 3-D view
 
@@ -22,7 +22,7 @@ def comparison(found: Comparison) -> str:
         ("flights", *s["flights"]),
         ("vehicle", *s["vehicles"]),
         ("duration, s", *s["duration"]),
-        ("spread, cm", *(100 * value for value in s["spread"])),
+        ("spread, cm", *_spread(found)),
         ("missed ticks", *s["missed_ticks"]),
     ]
     apart = [
@@ -41,16 +41,23 @@ def comparison(found: Comparison) -> str:
     parts = [f"<p>{text(title(found))}</p>"]
     if paths:
         parts.append(scene(paths))
+    charts = []
     for i, axis in enumerate("xyz"):
         lines = [
             Line(a, found.time, found.mean_a[:, i], "s1"),
             Line(b, found.time, found.mean_b[:, i], "s0"),
         ]
-        parts.append(chart(f"{axis} [m]", lines))
+        charts.append(chart(f"{axis} [m]", lines))
     apart_line = Line("distance of the mean paths", found.time, 100 * found.distance, "s4")
     top = max(1.0, 110 * float(np.max(found.distance)))
-    parts.append(chart("[cm]", [apart_line], limits=(0.0, top)))
-    return "".join([*parts, table(("", a, b), rows), table((), apart)])
+    charts.append(chart("[cm]", [apart_line], limits=(0.0, top)))
+    return "".join([*parts, wide(*charts), table(("", a, b), rows), table((), apart)])
+
+
+def _spread(found: Comparison) -> list[float | None]:
+    """Of each group, cm; one flight alone has none."""
+    spread, flights = found.summary()["spread"], found.summary()["flights"]
+    return [100 * far if many > 1 else None for far, many in zip(spread, flights, strict=True)]
 
 
 def compare_page(found: Comparison) -> str:

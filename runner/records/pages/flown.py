@@ -16,7 +16,7 @@ from crazyarena.levels.schema import Level
 from crazyarena.runner.records import export
 from crazyarena.runner.records.bodies import bodies, distances
 from crazyarena.runner.records.marks import Mark, marks
-from crazyarena.runner.records.mcap_records import read_records
+from crazyarena.runner.records.mcap_records import Records, read_records
 from crazyarena.runner.records.pages.charts import thinned
 from crazyarena.runner.records.pages.page import data
 from crazyarena.runner.records.recorded_level import recorded_level
@@ -64,7 +64,8 @@ class Flown:
 
 def read_flown(file: Path) -> Flown:
     """Read a recording; raises InputError if it holds no flight."""
-    recording = export.read(file)
+    records = read_records(file)
+    recording = export.read(file, records)
     states = recording.tables.get("state")
     if states is None or not len(states):
         raise InputError(f"{file}: holds no flight: no row of topic /state")
@@ -94,7 +95,7 @@ def read_flown(file: Path) -> Flown:
         columns("position"),
         columns("velocity"),
         setpoint,
-        _entities(file),
+        _entities(records),
         sorted(recording.events, key=lambda event: event["time"]),
         recording.metadata,
         recorded_level(recording.metadata),
@@ -102,9 +103,8 @@ def read_flown(file: Path) -> Flown:
     )
 
 
-def _entities(file: Path) -> list[dict[str, Any]]:
+def _entities(found: Records) -> list[dict[str, Any]]:
     """Those of the first scene of a recording."""
-    found = read_records(file)
     for number, channel in found.channels.items():
         payloads = found.payloads.get(number)
         if channel.topic == "/scene" and payloads:

@@ -56,7 +56,7 @@ for (const box of document.querySelectorAll(".scene")) {
     pen.font = 12 * ratio + "px sans-serif";
     for (const m of scene.marks) {
       const [a, b] = flat(m.point);
-      pen.fillStyle = colour(m.colour); pen.fillText(m.text, a + 6 * ratio, b - 4 * ratio);
+      pen.fillStyle = colour(m.colour); pen.fillText(m.text, a + 6 * ratio, b + (m.cross ? 14 : -4) * ratio);
       if (m.cross) { pen.beginPath(); pen.arc(a, b, 4 * ratio, 0, 7); pen.fill(); }
     }
     if (told) told.textContent = at.toFixed(2) + " s";

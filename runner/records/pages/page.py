@@ -17,7 +17,9 @@ _MOST_TEXT = 4000  # characters of one cell
 def text(value: Any) -> str:
     """Anything as text of a page: what strangers wrote is read, and never obeyed."""
     if isinstance(value, float):
-        value = f"{value:.4g}" if math.isfinite(value) else "–"
+        value = _number(value)
+    elif isinstance(value, list | tuple) and value and all(isinstance(v, float) for v in value):
+        value = ", ".join(map(_number, value))
     elif value is None:
         value = "–"
     elif isinstance(value, bool):
@@ -25,6 +27,12 @@ def text(value: Any) -> str:
     elif isinstance(value, dict | list | tuple):
         value = json.dumps(value, ensure_ascii=False, default=str)
     return html.escape(shown(str(value), _MOST_TEXT))
+
+
+def _number(value: float) -> str:
+    if not math.isfinite(value):
+        return "–"
+    return "0" if abs(value) < 1e-12 else f"{value:.4g}"
 
 
 def data(name: str, value: Any) -> str:
@@ -43,13 +51,21 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[Any]], state: Sequence[str] = ()) -> str:
-    """A table; ``state``: class of each row (``good``, ``bad`` or nothing)."""
+def table(
+    head: Sequence[str], rows: Iterable[Sequence[Any]], state: Sequence[str] = (), kind: str = ""
+) -> str:
+    """A table; ``state``: class of each row (``good``, ``bad`` or nothing); ``kind``: ``outcomes``
+    or ``facts``, whose second column holds sentences or long words."""
     found = [f"<tr>{''.join(f'<th>{text(name)}</th>' for name in head)}</tr>"] if head else []
     for index, row in enumerate(rows):
         style = f' class="{state[index]}"' if index < len(state) and state[index] else ""
         found.append(f"<tr{style}>{''.join(f'<td>{text(cell)}</td>' for cell in row)}</tr>")
-    return f'<div class="wide"><table>{"".join(found)}</table></div>'
+    return f'<div class="wide {kind}"><table>{"".join(found)}</table></div>'
+
+
+def wide(*charts: str) -> str:
+    """Charts, of which a narrow screen shows a part at a time: all of them the same part."""
+    return f'<div class="wide charts"><div>{"".join(charts)}</div></div>' if charts else ""
 
 
 def section(title: str, *parts: str) -> str:

@@ -10,13 +10,12 @@ import numpy as np
 
 from crazyarena.bounded_read import read_json
 from crazyarena.errors import InputError
-from crazyarena.runner.records import export
 from crazyarena.runner.records.bodies import gate_openings
 from crazyarena.runner.records.compare import compare
 from crazyarena.runner.records.pages.charts import Line, chart
 from crazyarena.runner.records.pages.compare_page import comparison
 from crazyarena.runner.records.pages.flown import Flown, read_flown, scene
-from crazyarena.runner.records.pages.page import folded, page, section, table, text
+from crazyarena.runner.records.pages.page import folded, page, section, table, text, wide
 
 MOST_FLIGHTS = 16
 """That are shown in full: failures first; all are in the table."""
@@ -90,7 +89,7 @@ def _overview(episodes: Sequence[dict[str, Any]]) -> str:
     ]
     state = ["good" if _good(e) else "bad" for e in episodes]
     names = ("#", "outcome", "time s", "gates", "collisions", "violations")
-    return table(names, rows, state)
+    return table(names, rows, state, "outcomes")
 
 
 def _seconds(value: Any) -> str:
@@ -130,26 +129,27 @@ def flight(flown: Flown) -> str:
     parts = [scene([(flown, "c0")])]
     if not flown.complete:
         parts.append("<p>The recording was cut short.</p>")
+    charts = []
     for i, axis in enumerate("xyz"):
         lines = [
             Line("flown", time, flown.position[:, i], "s0"),
             Line("commanded", time, flown.setpoint[:, i], "s4 dash"),
         ]
         openings = _openings(flown) if axis == "z" else ()
-        parts.append(chart(f"{axis} [m]", lines, gates=gates, marks=told, openings=openings))
+        charts.append(chart(f"{axis} [m]", lines, gates=gates, marks=told, openings=openings))
     speed = Line("speed", time, np.linalg.norm(flown.velocity, axis=1), "s2")
-    parts.append(chart("[m/s]", [speed], gates=gates, marks=told))
+    charts.append(chart("[m/s]", [speed], gates=gates, marks=told))
     margins = [
         Line(f"{name} (least {far.min():.2f} m)", time, far, style)
         for (name, far), style in zip(flown.margins().items(), ("s1", "s3"), strict=False)
     ]
     if margins:
-        parts.append(chart("[m]", margins, gates=gates, marks=told, limits=(-0.05, 1.0)))
+        charts.append(chart("[m]", margins, gates=gates, marks=told, limits=(-0.05, 1.0)))
     rows = [(f"{e['time']:.3f}", e["event"], e["detail"]) for e in flown.events]
     shown = table(("s", "event", ""), rows[:_MOST_EVENTS])
     if len(rows) > _MOST_EVENTS:
         shown += f"<p>{len(rows) - _MOST_EVENTS} more events are in the recording.</p>"
-    return "".join(parts) + folded(f"{len(rows)} events", shown)
+    return "".join([*parts, wide(*charts)]) + folded(f"{len(rows)} events", shown)
 
 
 def _openings(flown: Flown) -> list[tuple[float, float, float]]:
@@ -206,18 +206,48 @@ def _provenance(origin: dict[str, Any]) -> str:
         for name in long[:2]
         if origin.get(name)
     ]
-    return (table((), rows) if rows else "") + "".join(files)
+    return (table((), rows, kind="facts") if rows else "") + "".join(files)
 
 
 def bench_page(folder: Path) -> str:
     """The page of a bench: its flights beside the dry runs of the same draw."""
     flown, dry = (sorted(folder.glob(f"{kind}_[0-9]*")) for kind in ("bench", "dry"))
-    parts = []
+    told = [(run, *_told(run)) for run in (*flown, *dry)]
+    good = [clean for run, clean, *_ in told if run in flown]
+    style = "good" if good and all(good) else "bad"
+    lead = f"{sum(good)} of {len(good)} bench flights clean"
+    if dry:
+        lead += f", {sum(clean for run, clean, *_ in told if run in dry)} of {len(dry)} dry runs"
+    parts = [f'<p class="lead {style}">{lead}.</p>']
+    names = ("run", "outcome", "time s", "gates", "missed ticks")
+    rows = [(run.name, *row) for run, _, row, _ in told]
+    state = ["good" if clean else "bad" for _, clean, *_ in told]
+    parts.append(section("Flights", table(names, rows, state, "outcomes")))
     if flown and dry:
-        found = compare(dry, flown, ("dry run", "bench"))
-        parts.append(section("Bench against dry run", comparison(found)))
-    for run in [*flown, *dry]:
-        for file in export.recordings(run)[:1]:
+        try:
+            found = comparison(compare(dry, flown, ("dry run", "bench")))
+        except InputError as error:
+            found = f"<p>Not compared: {text(error)}</p>"
+        parts.append(section("Bench against dry run", found))
+    for run, *_ in told[:MOST_FLIGHTS]:
+        for file in sorted(run.glob("*.mcap"))[:1]:
             inner = flight(read_flown(file))
             parts.append(folded(run.name, inner, shut=run is not flown[0]))
+    origin = next((origin for *_, origin in told if origin), {})
+    parts += [_checklist(origin), section("Provenance", _provenance(origin))]
     return page(f"bench: {folder.resolve().name}", *parts)
+
+
+def _told(run: Path) -> tuple[bool, tuple[Any, ...], dict[str, Any]]:
+    """Whether the first episode of a run was clean, its row, and where the run comes from."""
+    file = run / "result.json"
+    document = read_json(file, "result") if file.is_file() else None
+    episodes = document.get("episodes") if isinstance(document, dict) else None
+    first = episodes[0] if isinstance(episodes, list) and episodes else None
+    if not isinstance(document, dict) or not isinstance(first, dict):
+        return False, ("no result", None, None, None), {}
+    gates = f"{first.get('gates_passed', '?')}/{first.get('gates', '?')}"
+    time = _seconds(first.get("flight_time", first.get("time")))
+    origin = document.get("provenance")
+    row = (_why(first), time, gates, first.get("missed_ticks"))
+    return _good(first), row, origin if isinstance(origin, dict) else {}

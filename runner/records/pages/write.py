@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crazyarena.bounded_read import read_json
-from crazyarena.errors import InputError
+from crazyarena.errors import InputError, StorageError
+from crazyarena.plain_text import shown_line
 from crazyarena.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -30,6 +31,14 @@ def write_report(folder: Path, against: Path | None = None, out: Path | None = N
     target = out if out is not None else folder / REPORT
     write_whole(target, _page(folder, against))
     return target
+
+
+def leave_page(folder: Path) -> tuple[str, str | None]:
+    """Write ``report.html`` after a run; returns what to say of it, and a style if it failed."""
+    try:
+        return f"Report: {shown_line(str(write_report(folder)))}", None
+    except (InputError, StorageError) as error:
+        return f"Report: not written: {error}", "red"
 
 
 def _page(folder: Path, against: Path | None) -> str:

@@ -66,8 +66,11 @@ def test_clean_flight_exits_0_and_writes_its_results(cli, pilot, tmp_path):
         "episode_000.png",
         "episode_001.mcap",
         "episode_001.png",
+        "report.html",
         "result.json",
     ]
+    assert "report.html" in shown.output
+    assert "2 of 2 episodes clean" in (out / "report.html").read_text()
     assert (out / "episode_000.png").read_bytes()[:4] == b"\x89PNG"
     result = json.loads((out / "result.json").read_text())
     assert [e["termination"] for e in result["episodes"]] == ["TASK COMPLETION"] * 2
@@ -101,7 +104,8 @@ def test_failed_flight_exits_1(cli, pilot, tmp_path):
     )  # fmt: skip
     assert shown.exit_code == 1
     assert "MAX EPISODE DURATION" in shown.output
-    assert [p.name for p in (tmp_path / "r").iterdir()] == ["result.json"]
+    names = sorted(p.name for p in (tmp_path / "r").iterdir())
+    assert names == ["report.html", "result.json"]
 
 
 def test_doing_nothing_is_a_collision_with_the_ground(cli, tmp_path):
@@ -121,7 +125,8 @@ def test_doing_nothing_is_a_collision_with_the_ground(cli, tmp_path):
 
 def test_figure_without_recording(cli, pilot, tmp_path):
     assert cli("dry-run", pilot, *EASY, "--episodes", 1, "--out", "r", "--no-record").exit_code == 0
-    assert sorted(p.name for p in (tmp_path / "r").iterdir()) == ["episode_000.png", "result.json"]
+    names = sorted(p.name for p in (tmp_path / "r").iterdir())
+    assert names == ["episode_000.png", "report.html", "result.json"]
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Loading submissions: every import style, no trace left, errors that say what to do."""
 
+import importlib.util
 import os
 import sys
 from pathlib import Path
@@ -297,6 +298,20 @@ class TestBadInput:
         first, _, rest = str(caught.value).partition("\n")
         assert "not installed: the package 'nowhere_a'. Install it" in first
         assert "No module named 'nowhere_a" in rest
+
+    @pytest.mark.parametrize(
+        ("imported", "words"),
+        [
+            ("acados_template", "set ACADOS_SOURCE_DIR"),
+            ("stable_baselines3", "the package 'stable-baselines3'"),
+        ],
+    )
+    def test_says_what_pip_calls_it_or_that_it_is_not_there(self, tmp_path, load, imported, words):
+        if importlib.util.find_spec(imported) is not None:
+            pytest.skip(f"{imported} is installed")
+        with pytest.raises(InputError) as caught:
+            load(write(tmp_path / "entry", edit_this=f"import {imported}"))
+        assert words in str(caught.value).partition("\n")[0]
 
     def test_names_nothing_to_install_for_what_is_there(self, tmp_path, load):
         source = "try:\n import helper\nexcept ImportError:\n from numpy import nothing_like_it"

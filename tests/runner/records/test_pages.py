@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from crazyarena.clock import VirtualClock
 from crazyarena.errors import InputError
 from crazyarena.levels import dump_level, load_level
+from crazyarena.runner.campaign.outcome import Outcome
+from crazyarena.runner.campaign.report import write_json
 from crazyarena.runner.judging import verdict_row
 from crazyarena.runner.records.pages.charts import Line, chart, ticks
 from crazyarena.runner.records.pages.page import data, page, table, text
@@ -155,6 +157,12 @@ def test_a_bench_flight_stands_beside_its_dry_run(tmp_path):
     whole = write_report(tmp_path).read_text()
     self_contained(whole)
     assert whole.count("<canvas>") == 3
+    assert "0 of 1 bench flights clean" in whole
+    assert "charge it" in whole
+    (tmp_path / "dry_00" / "episode_000.mcap").unlink()
+    whole = write_report(tmp_path).read_text()
+    assert "Not compared" in whole
+    assert whole.count("<canvas>") == 1
 
 
 def test_a_comparison_names_its_runs_and_is_reported_from_them(tmp_path):
@@ -173,21 +181,26 @@ def test_a_comparison_names_its_runs_and_is_reported_from_them(tmp_path):
 
 
 def test_a_fault_campaign_and_a_validation_are_reported(tmp_path):
-    flight = {"fault": "link lost", "seed": 1, "safe": False, "excursion": 0.2, "safe_after": None}
-    document = {"campaign": "Faults", "summary": [{"fault": "link lost", "flights": 1}],
-                "flights": [flight, {**flight, "safe": True, "safe_after": 1.0}]}  # fmt: skip
+    outcomes = [
+        Outcome("mocap_jump", 1, 0.2, math.inf, "flying", 0, "", 1.0, 4.0),
+        Outcome("mocap_jump", 2, -0.5, 1.0, "cut", 5, "fence", 1.0, 4.0),
+        Outcome("wall", 3, -0.1, 2.0, "landed", 3, "fence", 1.0, 4.0),
+    ]
     (tmp_path / "c").mkdir()
-    (tmp_path / "c" / "campaign.json").write_text(json.dumps(document))
+    write_json(tmp_path / "c" / "campaign.json", outcomes, "Faults")
     words = write_report(tmp_path / "c").read_text()
-    self_contained(words)
-    assert "1 of 2 flights ended in a safe state" in words
-    assert "<circle" in words
+    found = self_contained(words)
+    assert "2 of 3 flights ended in a safe state" in words
+    dots = [v for name, v in found.attributes if name == "class" and v.startswith("dot")]
+    assert sorted(dots) == ["dot s0"] + 4 * ["dot s2"]
+    assert words.count('<tr class="bad">') == 1
     (tmp_path / "v").mkdir()
     validation = {"vehicle": "cf21b", "medians": {"pid": {"rmse": 0.1}}, "flights": [{"rmse": 0.1}]}
     (tmp_path / "v" / "validate.json").write_text(json.dumps(validation))
     (tmp_path / "v" / "validate.png").write_bytes(b"png")
     words = write_report(tmp_path / "v").read_text()
     self_contained(words)
+    assert "3-D RMSE, m" in words
     assert "data:image/png;base64,cG5n" in words
 
 

@@ -45,13 +45,18 @@ class Button:
         return "stopped"
 
 
+# A swarm of 50 is for graphics processors: a browser without one, beside other programs, may not
+# answer its driver for a minute.
+FEW = 4
+
+
 @pytest.fixture
 def flight(tmp_path, monkeypatch):
-    """A published flight of 50, with its stop and a thread that keeps it moving."""
+    """A published flight, with its stop and a thread that keeps it moving."""
     monkeypatch.setenv("CRAZYARENA_RUNTIME_DIR", str(tmp_path))
     level = load_level("level1")
     draw = LevelRandom(level, 3).reset()
-    live = Live(50)
+    live = Live(FEW)
     live.scene(level_scene(level, draw.gates, draw.obstacles))
     button, landed = Button(), []
     source = SocketSource(button, land=landed.append, say=lambda text: None)
@@ -71,11 +76,12 @@ class Published:
 
     def _move(self):
         live, k = self.live, 0
-        spots = np.stack([0.4 * (np.arange(50) % 10) - 2, 0.4 * (np.arange(50) // 10) - 1], 1)
+        number = np.arange(FEW)
+        spots = np.stack([0.4 * number - 1.0, 0.0 * number], 1)
         while not self._ended.wait(0.03):
             k += 1
             live.rows[:, POSITION : POSITION + 2] = spots
-            live.rows[:, POSITION + 2] = 1.0 + 0.3 * np.sin(0.1 * k + np.arange(50))
+            live.rows[:, POSITION + 2] = 1.0 + 0.3 * np.sin(0.1 * k + number)
             live.rows[:, STOP : STOP + 3] = live.rows[:, POSITION : POSITION + 3] + 0.1
             live.extend()
             self.facts["time"] = 0.03 * k
@@ -260,17 +266,17 @@ def test_a_second_laptop_may_only_look_until_it_knows_the_token(flight, tmp_path
             driver.get(f"http://127.0.0.1:{viewer.url.rpartition(':')[2]}")
             eventually(lambda: "Operator" in text(driver), PATIENCE)
             open_tab(driver, "Operator")
-            eventually(lambda: "Use token" in text(driver), PATIENCE)
+            eventually(lambda: "read only" in text(driver), PATIENCE)
             assert LABEL not in text(driver)
             # Selects and sliders bring inputs of their own, some of them hidden.
             fields = driver.find_elements(By.CSS_SELECTOR, "input[type=text], input:not([type])")
             field = [f for f in fields if f.is_displayed()][-1]
             field.send_keys("wrong")
-            assert press(driver, "Use token")
-            eventually(lambda: "This is not the token" in text(driver), PATIENCE)
-            eventually(lambda: field.get_property("value") == "", PATIENCE)
+            eventually(lambda: "this is not the token" in text(driver), PATIENCE)
+            assert LABEL not in text(driver)
+            field.clear()
+            # One letter after the other, as fast as they come.
             field.send_keys("0123456789abcdef")
-            assert press(driver, "Use token")
             eventually(lambda: LABEL in text(driver), PATIENCE)
             assert flight.button.pulled == []
             assert press(driver, LABEL)

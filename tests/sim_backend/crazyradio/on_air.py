@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from crazyarena.sim_backend.crazyradio.air import Air, Station
+from crazyarena.sim_backend.crazyradio.air import Air, InUse, Station
 from crazyarena.sim_backend.crazyradio.air_time import Rate
 from crazyarena.sim_backend.crazyradio.receiver import Receiver
 
@@ -44,3 +44,15 @@ class Vehicle:
 
 def air_with(*vehicles, **options):
     return Air([vehicle.station for vehicle in vehicles], **options)
+
+
+def is_free(air):
+    """Whether nobody holds the dongles; cflib's driver lets go in a thread of its own, and what
+    connects before goes on with the dongle, and the air, of before."""
+    try:
+        for serial in air.serials:
+            air.claim(serial, "test")
+            air.release(serial, "test")
+    except InUse:
+        return False
+    return True

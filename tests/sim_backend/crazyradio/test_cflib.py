@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 import threading
-import time
 
 import cflib.crtp
 import numpy as np
@@ -50,11 +50,21 @@ def scf(vehicles, cache):
     """A connection to the first vehicle, which has just booted."""
     vehicles.command("reboot")
     vehicles.command("loss 0%")
-    time.sleep(2.0)  # it boots
-    with SyncCrazyflie(vehicles.uris[0], cf=Crazyflie(rw_cache=cache)) as connection:
+    connection = SyncCrazyflie(vehicles.uris[0], cf=Crazyflie(rw_cache=cache))
+    eventually(lambda: opened(connection))
+    try:
         connection.wait_for_params()
         eventually(lambda: connection.cf.supervisor.can_fly)
         yield connection
+    finally:
+        connection.close_link()
+
+
+def opened(connection):
+    """Try to connect; a vehicle that boots does not answer for two seconds."""
+    with contextlib.suppress(Exception):  # cflib's own, "Too many packets lost"
+        connection.open_link()
+    return connection.is_link_open()
 
 
 def height(scf, wanted, tolerance=0.1):
@@ -137,7 +147,9 @@ def test_trajectory(scf):
 
 def test_swarm_of_four_on_one_dongle(vehicles, cache):
     vehicles.command("reboot")
-    time.sleep(2.0)
+    first = SyncCrazyflie(vehicles.uris[0], cf=Crazyflie(rw_cache=cache))
+    eventually(lambda: opened(first))
+    first.close_link()
     # The second dongle stays unused: the first changes its channel for every other packet.
     uris = {uri.replace("radio://1", "radio://0") for uri in vehicles.uris}
     heights = {}

@@ -9,7 +9,7 @@ from cflib.crtp.crtpstack import CRTPPacket
 from cflib.crtp.radiodriver import RadioDriver
 
 from crazyarena.sim_backend.crazyradio.usb_backend import install
-from tests.sim_backend.crazyradio.on_air import Leaping, Vehicle, air_with
+from tests.sim_backend.crazyradio.on_air import Leaping, Vehicle, air_with, is_free
 from tests.waiting import eventually
 
 
@@ -44,6 +44,7 @@ def test_a_tenth_of_the_packets_and_acknowledgements_lost(count):
         eventually(lambda: len(vehicle.got) >= count)
     finally:
         driver.close()
+        eventually(lambda: is_free(air))
         undo()
     assert not driver.needs_resending  # it has the safe link
     assert errors == []
@@ -55,7 +56,8 @@ def test_a_tenth_of_the_packets_and_acknowledgements_lost(count):
 
 def test_too_many_packets_lost_after_a_hundred():
     vehicle = Vehicle()
-    undo = install(air_with(vehicle), Leaping())
+    air = air_with(vehicle)
+    undo = install(air, Leaping())
     driver = RadioDriver()
     errors = []
     driver.connect("radio://0/80/2M/E7E7E7E701", None, errors.append)
@@ -65,5 +67,6 @@ def test_too_many_packets_lost_after_a_hundred():
         eventually(lambda: errors)
     finally:
         driver.close()
+        eventually(lambda: is_free(air))
         undo()
     assert errors[0] == "Too many packets lost"

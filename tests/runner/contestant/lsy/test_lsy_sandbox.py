@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from crazyarena.errors import InputError
 from crazyarena.runner.contestant.contract_lsy.dialogue import Drawing, LsyAnswer
 from crazyarena.runner.contestant.sandbox import lsy, wire
+from crazyarena.runner.contestant.sandbox.confine import acados_folder
 from crazyarena.runner.lsy_run import LsyRun
 from tests.runner.lsy_controllers import LOG, STATE, controller
 
@@ -60,6 +62,34 @@ def test_whatever_it_does_ends_its_own_trial(tmp_path, monkeypatch, body, words)
 def test_a_load_that_fails_is_bad_input(tmp_path):
     with pytest.raises(InputError, match=r"code/mine\.py.*ZeroDivisionError"):
         fly(tmp_path, STATE + "1 / 0\n")
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
+def test_finds_the_libraries_of_acados(tmp_path, monkeypatch):
+    """Where the one who flies it has built them."""
+    acados = tmp_path / "acados"
+    (acados / "interfaces" / "acados_template").mkdir(parents=True)
+    (acados / "lib").mkdir()
+    (tmp_path / "a.c").write_text("double acados_twice(double x) { return 2 * x; }")
+    library = acados / "lib" / "libacados.so"
+    command = ["gcc", "-shared", "-fPIC", "-o", str(library), str(tmp_path / "a.c")]
+    subprocess.run(command, check=True)
+    body = """
+import ctypes, os
+f = ctypes.CDLL("libacados.so").acados_twice
+f.restype, f.argtypes = ctypes.c_double, [ctypes.c_double]
+raise RuntimeError(f"twice two is {f(2.0)}, in {os.environ['ACADOS_SOURCE_DIR']}")
+"""
+    assert "cannot open shared object" in fly(tmp_path, controller(body), "without").error
+    monkeypatch.setenv("ACADOS_SOURCE_DIR", str(acados))
+    assert f"twice two is 4.0, in {acados}" in fly(tmp_path, controller(body)).error
+
+
+@pytest.mark.parametrize("folder", ["/", "no", "there"])
+def test_other_folders_are_not_opened_for_acados(tmp_path, monkeypatch, folder):
+    (tmp_path / "there" / "lib").mkdir(parents=True)
+    monkeypatch.setenv("ACADOS_SOURCE_DIR", folder if folder == "/" else str(tmp_path / folder))
+    assert acados_folder() is None
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
