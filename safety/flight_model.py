@@ -48,6 +48,8 @@ class FlightModel:
     lean: s, tilt (rad) that it keeps for every rad/s of a body rate that it is told and that its
         way does not need: kw over twice kR of Mellinger's attitude loop, whose error is twice the
         sine of the angle. The PID heeds none.
+    winding: m/s2 of a setpoint's acceleration that are worth 1 m s of its controller's integral of
+        the position error, sideways; 0 for the PID, whose integral is of the speed.
     drag: 1/s, share of its speed that the air takes.
     low: m by which it hovers below its setpoint.
     lift: all that the motors can lift over the weight.
@@ -64,6 +66,7 @@ class FlightModel:
     thrusting: float = 0.08
     swinging: tuple[float, float] = (13.5, 0.85)
     lean: float = 0.1429
+    winding: float = 1.7241
     drag: float = 0.409
     low: float = 0.0305
     lift: float = 1.5387

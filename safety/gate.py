@@ -197,6 +197,11 @@ class CommandGate:
         (x, y, z), (vx, vy, vz) = memory.setpoint, memory.velocity
         return (x + vx * age, y + vy * age, z + vz * age), memory.velocity
 
+    def streamed(self, vehicle: int) -> Point | None:
+        """Place, m, of the setpoint that is streamed now; None if it has none, or none is."""
+        memory = self._vehicles[vehicle]
+        return memory.setpoint if memory.streaming else None
+
     def pushed(self, vehicle: int) -> Point | None:
         """Acceleration, m/s2, that the attitude asks for which is streamed now; None if none is."""
         memory = self._vehicles[vehicle]

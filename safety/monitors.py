@@ -13,6 +13,7 @@ from enum import Enum
 
 from crazyarena.safety.events import Action
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.flight_model import GRAVITY
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.observation import LAG, Observation
@@ -20,6 +21,8 @@ from crazyarena.safety.stopping import pushed_path, stopping_path
 
 # Bits of the firmware's ``supervisor.info``.
 CAN_FLY, TUMBLED, LOCKED, CRASHED = 1 << 3, 1 << 5, 1 << 6, 1 << 7
+
+_FRICTION = 5.0  # m/s2, with which what has fallen slides to rest
 
 Measure = Callable[[Observation, Fence, Limits], float | None]
 
@@ -115,6 +118,19 @@ def _fence_predicted(obs: Observation, fence: Fence, limits: Limits) -> float | 
     if obs.position is None:
         return None
     return -_least_on_path(obs, limits, fence, fence.clearance)
+
+
+def _adrift(obs: Observation, fence: Fence, limits: Limits) -> float | None:
+    """m beyond the fence where a vehicle that does not know where it is comes to lie, cut now."""
+    if obs.position is None or obs.onboard is None:
+        return None
+    if math.dist(obs.position, obs.onboard) <= limits.disagreement:
+        return None
+    (x, y, z), (vx, vy, vz) = obs.position, obs.velocity
+    height = max(z - fence.floor, 0.0)
+    time = (vz + math.sqrt(vz * vz + 2.0 * GRAVITY * height)) / GRAVITY
+    time += math.hypot(vx, vy) / (2.0 * _FRICTION)  # of sliding on, with half the speed on average
+    return -fence.clearance(x + time * vx, y + time * vy, fence.floor)
 
 
 def _keep_out(obs: Observation, fence: Fence, limits: Limits) -> float | None:
@@ -232,6 +248,8 @@ RULES: tuple[Rule, ...] = (
         _fence_predicted,
         (Stage("predicted_margin", HOLD),),
     ),
+    # It flies to where it takes itself to be, and nobody can land it inside.
+    Rule("adrift", When.OVERRIDE, _adrift, (Stage(0.0, CUT, 0.05),)),
     Rule("keep_out", When.AIRBORNE, _keep_out, (Stage(0.0, HOLD),)),
     Rule(
         "keep_out_predicted",

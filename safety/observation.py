@@ -39,6 +39,7 @@ class Observation:
     link_age: s since the vehicle was last heard.
     setpoint: position the vehicle was last told to be at now, m.
     setpoint_velocity: m/s, that it was told with it.
+    streamed: place of the last streamed setpoint that had one, whatever else it said, m.
     pushed: acceleration, m/s2, that the streamed attitude asks for; None if none is streamed.
     controller_age: s since the contestant last answered or refreshed its streamed setpoint.
     lateness: of the last control step, s.
@@ -69,6 +70,7 @@ class Observation:
     supervisor: int | None = None
     setpoint: Point | None = None
     setpoint_velocity: Point = (0.0, 0.0, 0.0)
+    streamed: Point | None = None
     pushed: Point | None = None
     controller_age: float | None = None
     lateness: float | None = None

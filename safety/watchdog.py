@@ -392,6 +392,7 @@ class Watchdog:
             obs.supervisor = telemetry.supervisor
         watched.airborne = obs.airborne = self._is_airborne(watched, obs)
         obs.setpoint, obs.setpoint_velocity = self._gate.reference(vehicle, now)
+        obs.streamed = obs.setpoint or self._gate.streamed(vehicle)
         if not watched.guard.action.takes_over:
             obs.pushed = self._gate.pushed(vehicle)
         obs.controller_age = _largest(

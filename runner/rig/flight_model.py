@@ -38,7 +38,9 @@ _FULL_SCALE = 65535.0
 # What height and stiffness under Mellinger's controller depend on.
 _READ = tuple(
     f"ctrlMel.{name}"
-    for name in ("mass", "massThrust", "kp_z", "kd_z", "kp_xy", "kd_xy", "kR_xy", "kw_xy")
+    for name in (
+        *("mass", "massThrust", "kp_z", "kd_z", "kp_xy", "kd_xy", "ki_xy", "kR_xy", "kw_xy"),
+    )
 )
 _THRUST_SCALE = 1000.0  # of the PID's vertical loop
 
@@ -68,6 +70,7 @@ def flight_model(
         thrusting=max(lag, _LEAST_LAG),
         swinging=_SWINGING.get(controller, _SWINGING[PID]),
         lean=0.0,
+        winding=0.0,
         drag=max(vehicle.body.drag.value[:2]) / mass,
         lift=lift,
         spent=_voltage(vehicle, _LIFTING * weight),
@@ -83,6 +86,7 @@ def flight_model(
             damping=(share * kd, share * kd, share * kd_z),
             feed=(feed, feed, feed),
             lean=param("ctrlMel.kw_xy") / (2.0 * param("ctrlMel.kR_xy")),
+            winding=param("ctrlMel.ki_xy") / param("ctrlMel.mass"),
             low=mellinger_hover(vehicle, told).low,
         )
     tilt = math.radians(1.0) * GRAVITY  # m/s2 of a degree

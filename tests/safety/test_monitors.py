@@ -111,6 +111,20 @@ CASES: list[tuple[str, Action, dict[str, Any], dict[str, Any], float]] = [
 ]
 
 
+def test_one_that_does_not_know_where_it_is_is_cut_before_it_drifts_out():
+    there: dict[str, Any] = {"position": (2.6, 0.0, 1.0), "velocity": (1.3, 0.0, 0.0)}
+    lost: dict[str, Any] = {**there, "onboard": (0.0, 0.0, 1.0)}
+    cut = [e for e in run(new_guard(), lasting(0.4, **lost)) if e.rule == "adrift"]
+    assert [e.action for e in cut] == [CUT]
+    assert cut[0].time == pytest.approx(N.disagreement_time + 0.05, abs=0.02)
+    for harmless in (
+        {**there, "onboard": (2.6, 0.1, 1.0)},
+        {**lost, "velocity": (-1.3, 0.0, 0.0)},
+        {**lost, "position": (1.0, 0.0, 1.0)},
+    ):
+        assert "adrift" not in {e.rule for e in run(new_guard(), lasting(0.4, **harmless))}
+
+
 @pytest.mark.parametrize(("rule", "action", "bad", "good", "time"), CASES)
 def test_rule_is_broken_beyond_its_limit_and_for_long_enough(rule, action, bad, good, time):
     events = run(new_guard(), lasting(time + 0.02, **bad))
@@ -129,10 +143,11 @@ def test_rule_is_broken_beyond_its_limit_and_for_long_enough(rule, action, bad, 
 
 
 def test_every_rule_has_a_case():
-    covered = {case[0] for case in CASES} | {"lost_control"}
+    after_the_takeover = {"lost_control", "adrift"}
+    covered = {case[0] for case in CASES} | after_the_takeover
     assert covered == {rule.name for rule in RULES}
     for rule in RULES:
-        if rule.name != "lost_control":
+        if rule.name not in after_the_takeover:
             stages = {stage.action for stage in rule.stages}
             assert stages == {case[1] for case in CASES if case[0] == rule.name}
 

@@ -97,3 +97,35 @@ def test_one_that_is_outside_is_not_kept_from_coming_back():
     assert setpoint.position[0] > -3.1
     # Towards the place inside, not with the vehicle outwards.
     assert setpoint.velocity[0] > 0.0
+
+
+def test_the_integral_that_a_contestant_wound_up_is_not_flown_on_with():
+    limits = Limits(link_loss_margin=math.inf)
+    winding = limits.vehicle.winding
+
+    def told(lead: float, **changes: object) -> float:
+        pilot = SafePilot(fence(zones=()), limits)
+        for step in range(101):
+            pilot.see(flying(0.01 * step, streamed=(lead, 0.0, 1.0), **changes))
+        sent = first_setpoint(pilot, 1.01, **changes)
+        return float(sent.acceleration[0])
+
+    assert told(0.6) == pytest.approx(-0.6 * winding, rel=0.05)
+    assert told(0.0) == pytest.approx(0.0, abs=0.05)
+    # Never more than the firmware keeps, nothing of what nobody can have been told, and nothing on
+    # the ground, where it is forgotten.
+    assert told(1.1, velocity=(0.0, 0.0, 0.0)) >= -2.0 * winding
+    assert told(3.0) == pytest.approx(0.0, abs=0.05)
+    pilot = SafePilot(fence(zones=()), limits)
+    for step in range(400):
+        pilot.see(flying(0.01 * step, streamed=(1.0, 0.0, 1.0), airborne=step < 350))
+    assert first_setpoint(pilot, 4.0).acceleration[0] == pytest.approx(0.0, abs=0.05)
+
+
+def test_the_integral_is_kept_within_what_the_firmware_keeps():
+    limits = Limits(link_loss_margin=math.inf)
+    pilot = SafePilot(fence(zones=()), limits)
+    for step in range(1000):
+        pilot.see(flying(0.01 * step, streamed=(0.0, -1.0, 1.0)))
+    sent = first_setpoint(pilot, 10.0)
+    assert sent.acceleration[1] == pytest.approx(2.0 * limits.vehicle.winding, rel=0.01)
