@@ -46,13 +46,16 @@ from crazyarena.mocap.sim_source import SimSource
 from crazyarena.runner.contestant.in_process import InProcess
 from crazyarena.runner.contestant.submission import Submission
 from crazyarena.runner.dry_run import example_racer
+from crazyarena.runner.rig.flight_model import flight_model
 from crazyarena.runner.trial.trial import Trial
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.gate import CommandGate
+from crazyarena.safety.limits import Limits
 from crazyarena.safety.watchdog import Watchdog
 from crazyarena.sim_backend.competition import CompetitionWorld
 from crazyarena.sim_backend.trace import TR_POS, TR_QUAT, TR_TIME
+from crazyarena.sim_backend.vehicles import load_vehicle
 from crazyarena.types import Pose
 
 _LEAD = 1.0  # s of frames before the take-off
@@ -92,6 +95,7 @@ class WatchedWorld:
             self._world,
             self._fence,
             self._session,
+            Limits().for_vehicle(flight_model(load_vehicle("cf2022"))),
             state=lambda vehicle: self._pipeline.estimate("cf").state,
             on_event=self.episodes[-1].append,
         )

@@ -28,7 +28,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -100,21 +100,21 @@ def _most(values: Iterable[float], digits: int = 2) -> str:
 # In simulation
 
 
-def simulate(angles: Iterable[int], seeds: range) -> int:
-    """Flights in virtual time; how many were not as they should be."""
+def simulate(angles: Iterable[int], seeds: range) -> list[Row]:
+    """Flights in virtual time."""
     kinds: list[tuple[str, Callable[[float, int], TurnedFlight]]] = [
-        ("circuit", fly_turned),
-        *((f"up in {s:g} s", lambda a, k, s=s: fly_turned(a, k, climb=s)) for s in _CLIMBS),
+        ("guarded, circuit", fly_turned),
+        *((f"guarded, {s:g} s", lambda a, k, s=s: fly_turned(a, k, climb=s)) for s in _CLIMBS),
         *((f"unguarded, {s:g} s", lambda a, k, s=s: fly_unguarded(a, k, climb=s)) for s in _CLIMBS),
     ]
     print(f"\nIn simulation:\n\n{_HEAD}", flush=True)
-    bad = 0
+    rows = []
     for degrees in angles:
         for kind, fly in kinds:
-            row = Row(degrees, kind, [fly(math.radians(degrees), seed) for seed in seeds])
-            bad += row.bad
-            print(row, flush=True)
-    return bad
+            flights = [fly(math.radians(degrees), seed) for seed in seeds]
+            rows.append(Row(degrees, f"simulation, {kind}", flights))
+            print(rows[-1], flush=True)
+    return rows
 
 
 # Over UDP
@@ -189,23 +189,42 @@ def hover(degrees: int, seed: int, guard: str | None) -> TurnedFlight:
         float(height) if cut else math.nan,
         float(way) if cut else math.nan,
         math.nan,
-        () if code == 0 else (f"exit code {code}: {lines[-1][1] if lines else ''}",),
+        () if code == 0 else (f"exit code {code}", *(line for _, line in lines)),
     )
 
 
-def udp(angles: Iterable[int], seeds: range) -> int:
-    """Flights in real time; how many were not as they should be."""
+def udp(angles: Iterable[int], seeds: range) -> list[Row]:
+    """Flights in real time."""
     print(f"\nhover.py over UDP:\n\n{_HEAD}", flush=True)
-    bad = 0
+    rows = []
     for degrees in angles:
         for kind, guard in (("guarded", "level0"), ("unguarded", None)):
-            row = Row(degrees, kind, [hover(degrees, seed, guard) for seed in seeds])
-            bad += row.bad
-            print(row, flush=True)
-            for flight in row.flights:
+            flights = [hover(degrees, seed, guard) for seed in seeds]
+            rows.append(Row(degrees, f"UDP, {kind}", flights))
+            print(rows[-1], flush=True)
+            for flight in flights:
                 if not _is_good(degrees, flight):
                     print(flight, file=sys.stderr)
-    return bad
+    return rows
+
+
+def summary(rows: list[Row]) -> None:
+    """Of both signs and all kinds of flights together."""
+    print(f"\nIn short:\n\n{_HEAD}")
+    groups: dict[tuple[int, str], list[TurnedFlight]] = {}
+    for row in rows:
+        where = ",".join(row.kind.split(",")[:2])
+        # Angles are told relative to that of the body, so that signs may be mixed.
+        groups.setdefault((abs(row.degrees), where), []).extend(
+            replace(flight, told=_mirrored(flight.told) if row.degrees < 0 else flight.told)
+            for flight in row.flights
+        )
+    for (degrees, where), flights in sorted(groups.items()):
+        print(Row(degrees, where, flights))
+
+
+def _mirrored(told: str) -> str:
+    return _NOSE.sub(lambda m: m[0].replace(m[1], f"{-float(m[1]):+.0f}", 1), told)
 
 
 def tip(angles: Iterable[int], seeds: range) -> int:
@@ -271,12 +290,16 @@ def main() -> int:
     args = parser.parse_args()
     seeds = range(args.seed, args.seed + args.seeds)
     real = range(args.seed, args.seed + args.real)
-    parts = {
-        "tip": lambda: tip(args.angles, real),
-        "simulation": lambda: simulate(args.angles, seeds),
-        "udp": lambda: udp(args.angles, real),
-    }
-    bad = sum(run() for name, run in parts.items() if args.part in (None, name))
+    bad, rows = 0, list[Row]()
+    if args.part in (None, "tip"):
+        bad += tip(args.angles, real)
+    if args.part in (None, "simulation"):
+        rows += simulate(args.angles, seeds)
+    if args.part in (None, "udp"):
+        rows += udp(args.angles, real)
+    if rows:
+        summary(rows)
+    bad += sum(row.bad for row in rows)
     print(f"\n{bad} were not as they should be")
     return int(bad > 0)
 

@@ -20,7 +20,7 @@ from crazyarena.runner.contestant.shipped import example_racer
 from crazyarena.runner.judging.result import EpisodeResult, TrialResult
 from crazyarena.runner.records.outcome_table import table
 from crazyarena.runner.records.pages.write import leave_page
-from crazyarena.runner.records.pictures import Figures, Pictures, told_of
+from crazyarena.runner.records.pictures import Figures, Pictures
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.records.report import NOT_ISOLATED, result_document
 from crazyarena.runner.records.run_folder import ResultFile, run_folder
@@ -495,6 +495,6 @@ class DryRun:
         drawn = self._pictures.finish()
         for reason in self._pictures.refused[:1]:
             result.cut_short = result.cut_short or reason
-        for line in told_of(drawn):
+        for line in self._pictures.told(drawn):
             self._print(line)
         return bool(drawn)

@@ -42,9 +42,11 @@ from crazyarena.runner.records.recorder import SINCE, Recorder
 from crazyarena.runner.records.report import machine, versions
 from crazyarena.runner.records.run_folder import ResultFile, run_folder
 from crazyarena.runner.trial.lsy_episode import COMMAND_LAYOUT, LsyEpisode, LsyEpisodeResult
+from crazyarena.runner.trial.lsy_showing import LsyShowing
 from crazyarena.runner.trial.options import secret_seed
 from crazyarena.runner.warm_up import compile_missing
 from crazyarena.sim_backend.successor import SuccessorWorld, nominal
+from crazyarena.viewer_process import View, ViewOptions
 
 FORMAT = 1
 _ENDS_RUN = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT, INTERRUPTED)
@@ -99,6 +101,8 @@ class LsyRun:
     seeds: one for each episode, which are then as many, and as large as one likes.
     parameters: told to a sandboxed controller, see :class:`.Sandboxed`; budget: its wall time.
     on_episode: told of every episode's result, recorder and draw, whatever is kept of it.
+    view: show it in the browser, until :meth:`finish`; pace: times real time that it then flies at,
+        0 for as fast as it goes.
 
     Raises
     ------
@@ -124,7 +128,12 @@ class LsyRun:
         parameters: Mapping[str, object] | None = None,
         budget: Budget | None = None,
         on_episode: Callable[[LsyEpisodeResult, Recorder | None, LsyDraw], None] | None = None,
+        view: ViewOptions | None = None,
+        pace: float = 1.0,
     ) -> None:
+        self._wanted_view, self._pace = view, pace
+        self._view: View | None = None
+        self._show: LsyShowing | None = None
         self._parameters = parameters
         self._budget = budget
         self._on_episode = on_episode
@@ -164,6 +173,30 @@ class LsyRun:
 
     def run(self) -> LsyResult:
         """Fly; write ``result.json`` if there is a folder for it."""
+        try:
+            return self._run()
+        except BaseException:
+            if self._view is not None:
+                self._view.close()
+            raise
+
+    def finish(self) -> None:
+        """Let the viewer, if there is one, stay as long as somebody looks."""
+        if self._view is not None:
+            self._view.finish()
+
+    def _open_show(self, stack: contextlib.ExitStack) -> None:
+        if self._wanted_view is None:
+            return
+        self._view = View(
+            self._wanted_view,
+            lambda text: self._console.print(text, highlight=False, markup=False, soft_wrap=True),
+        )
+        self._show = LsyShowing(self._view.live, self.level, self._episodes, self._pace)
+        stack.callback(self._show.close)
+        self._view.await_browser()
+
+    def _run(self) -> LsyResult:
         console, level = self._console, self.level
         for warning in level.warnings:
             console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
@@ -188,6 +221,7 @@ class LsyRun:
                     stack.callback(PrintsShown(lambda: True).close)
                 # Thinking costs no time here, so there is no step to wait for.
                 stack.enter_context(stack.enter_context(Interrupt()).at_once())
+                self._open_show(stack)
                 for index, random in enumerate(randoms):
                     result = self._episode(index, contestant, world, referee, random.reset())
                     outcome.episodes.append(result)
@@ -245,6 +279,7 @@ class LsyRun:
                 referee,
                 recorder=recorder,
                 most=math.inf if self._budget is None else self._budget.episode,
+                show=self._show,
             )
             result = episode.fly(draw)
         finally:

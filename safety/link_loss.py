@@ -10,8 +10,8 @@ that swings to what is asked for, and with the tilt that it has now:
 which settles at u = p + (s c v_p + f a) / k. Nothing else of the setpoint matters but the body
 rates that are told with it: the firmware keeps them when it levels out, and Mellinger's attitude
 loop holds a tilt against them, ``lean`` times what they are. Where it ends is linear in all
-of it. It coasts as if there were no air: the estimator on board knows none, and takes the tilt that
-makes up for drag for level.
+of it. The estimator on board knows no air: it takes the tilt that makes up for the drag of the last
+second's speed for level, goes on doing so without poses, and so the push of that tilt stays.
 """
 
 from __future__ import annotations
@@ -39,19 +39,23 @@ _STRETCH, _STRETCHES = 1.15, 24  # up to 25 times as long
 _ORIGIN = (0.0, 0.0, 0.0)
 _LOOKS = (0.1, 0.4)  # s after it levels out, and after that, at which its place is looked at
 _LEFT = 1.5  # times that tilt is what a vehicle flies with that has no poses, found in simulation
+_BELIEVED = 0.1  # s; times drag, by how much the speed is overestimated on board, in simulation
+_MEMORY = 1.0  # s, of the estimator on board, about the tilt that makes up for drag
 _MOST_SWING = 30.0  # m/s3; more than that is noise of the cameras
 
 
 @dataclass(frozen=True, slots=True)
 class Moving:
     """How a vehicle moves: place m, velocity m/s; sideways also push (m/s2) and swing (m/s3), what
-    its tilt, beyond what makes up for drag, and the change of that make of gravity; heading rad."""
+    its tilt, beyond what makes up for drag, and the change of that make of gravity; heading rad.
+    usual: m/s, sideways, of the last second; that of now if nobody knows."""
 
     place: Point
     velocity: Point
     push: Pair = (0.0, 0.0)
     swing: Pair = (0.0, 0.0)
     heading: float = 0.0
+    usual: Pair | None = None
 
     @classmethod
     def of(cls, state: VehicleState, most: float, drag: float) -> Moving:
@@ -84,32 +88,45 @@ class Moving:
 @dataclass(frozen=True, slots=True)
 class _Sideways:
     """Places after 0.25, 0.5, 0.6 and 1.0 s, and the speed then: rows of multiples of the distance
-    to u, speed, push and swing now, and of the push that is left after levelling out."""
+    to u, speed, push and swing now, of the push that is left after levelling out, and of the usual
+    speed."""
 
-    rows: tuple[tuple[float, float, float, float, float], ...]
+    rows: tuple[tuple[float, float, float, float, float, float], ...]
 
     @classmethod
     def of(cls, model: FlightModel) -> _Sideways:
+        """States: place and speed as believed on board, push believed, swing, push left, true place
+        and speed, and the push that is taken for level."""
         k, c = model.stiffness[0], model.damping[0]
         w, z = model.swinging
-        held = np.zeros((5, 5))
-        held[0, 1] = held[1, 2] = held[2, 3] = 1.0
+        held = np.zeros((8, 8))
+        held[0, 1] = held[1, 2] = held[2, 3] = held[5, 6] = held[6, 2] = held[6, 7] = 1.0
+        held[6, 6] = -model.drag
         level = held.copy()
         held[3, :4] = -k * w * w, -c * w * w, -w * w, -2.0 * z * w
-        level[3, 2:] = -w * w, -2.0 * z * w, _LEFT * w * w
+        level[3, 2:5] = -w * w, -2.0 * z * w, _LEFT * w * w
+        begin = np.zeros((8, 6))
+        begin[:5, :5] = np.eye(5)
+        begin[1, 1] += _BELIEVED * model.drag
+        begin[5, 0] = begin[6, 1] = 1.0
+        begin[7, 5] = model.drag
+        # Believed is what the tilt is beyond that.
+        begin[2, 1], begin[2, 5] = model.drag, -model.drag
         half = expm(0.5 * _HOLD * held)
-        states = [half, half @ half]
+        states = [half @ begin]
+        states.append(half @ states[-1])
         for gap in _LOOKS:
             states.append(expm(gap * level) @ states[-1])
-        rows = [state[0] for state in states] + [states[-1][1]]
+        rows = [state[5] for state in states] + [states[-1][6]]
         return cls(tuple(tuple(float(value) for value in row) for row in rows))  # type: ignore[misc]
 
     def ways(
-        self, away: float, speed: float, push: float, swing: float, left: float
+        self, away: float, speed: float, push: float, swing: float, left: float, usual: float
     ) -> list[float]:
         """The rows' sums, m from u, and m/s at last."""
         return [
-            a * away + b * speed + c * push + d * swing + e * left for a, b, c, d, e in self.rows
+            a * away + b * speed + c * push + d * swing + e * left + f * usual
+            for a, b, c, d, e, f in self.rows
         ]
 
 
@@ -119,6 +136,25 @@ def _upwards(model: FlightModel, time: float) -> tuple[float, float]:
     k, c, lag = model.stiffness[2], model.damping[2], model.thrusting
     m = expm(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-k / lag, -c / lag, -1.0 / lag]]) * time)
     return float(m[0, 0]), float(m[0, 1])
+
+
+class UsualSpeed:
+    """Speed of about the last second, sideways, as the estimator on board remembers it."""
+
+    def __init__(self) -> None:
+        self._speed: Pair | None = None
+        self._time = -math.inf
+
+    def see(self, time: float, velocity: Point) -> Pair:
+        """Its value, m/s, at ``time`` (s), with the velocity of now."""
+        gap, self._time = time - self._time, max(time, self._time)
+        if self._speed is None or gap > _MEMORY:
+            self._speed = velocity[0], velocity[1]
+        elif gap > 0.0:
+            share = -math.expm1(-gap / _MEMORY)
+            x, y = (u + share * (v - u) for u, v in zip(self._speed, velocity, strict=False))
+            self._speed = x, y
+        return self._speed
 
 
 class LinkLoss:
@@ -159,8 +195,10 @@ class LinkLoss:
         ux, uy, uz = rest
         uz += max(0.0, -model.low)
         (x, y, z), (vx, vy, vz) = moving.place, moving.velocity
-        ways_x = self._sideways.ways(x - ux, vx, moving.push[0], moving.swing[0], left[0])
-        ways_y = self._sideways.ways(y - uy, vy, moving.push[1], moving.swing[1], left[1])
+        (ax, ay), (jx, jy) = moving.push, moving.swing
+        usual = moving.usual or (vx, vy)
+        ways_x = self._sideways.ways(x - ux, vx, ax, jx, left[0], usual[0])
+        ways_y = self._sideways.ways(y - uy, vy, ay, jy, left[1], usual[1])
         # Level, it keeps its height; cut, it falls.
         height = uz + lift
         heights = [uz + a * (z - uz) + b * vz for a, b in self._heights] + [height, height]

@@ -16,7 +16,7 @@ from crazyarena.safety.events import Action
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.link_loss import LinkLoss, Moving
+from crazyarena.safety.link_loss import LinkLoss, Moving, UsualSpeed
 from crazyarena.safety.observation import Observation, Point, as_point
 
 _PERIOD = 0.0095  # s, at least, between setpoints: every frame of a 100 Hz camera system
@@ -59,6 +59,7 @@ class SafePilot:
         self._emergencies = 0
         self._velocity: Point = (0.0, 0.0, 0.0)
         self._seen = -math.inf
+        self._usual = UsualSpeed()
         self.reference: Point | None = None
         self.landed = False
 
@@ -77,6 +78,7 @@ class SafePilot:
         share = 1.0 if gap > _BRIDGE or change <= _AGILITY * gap else _AGILITY * gap / change
         x, y, z = (a + share * (b - a) for a, b in zip(self._velocity, obs.velocity, strict=True))
         self._velocity = (x, y, z)
+        self._usual.see(obs.time, self._velocity)
 
     def update(self, action: Action, obs: Observation) -> list[Command]:
         """Commands for now; ``reference`` is where the vehicle should be, ``landed`` is set when
@@ -110,7 +112,7 @@ class SafePilot:
             return setpoint
         push = obs.horizontal_acceleration(self._limits.vehicle.strongest)
         slower = self._link_loss.full_state(
-            Moving(place, self._velocity, push),
+            Moving(place, self._velocity, push, usual=self._usual.see(obs.time, self._velocity)),
             as_point(setpoint.position),
             as_point(setpoint.velocity),
             as_point(setpoint.acceleration),

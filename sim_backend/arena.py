@@ -69,9 +69,9 @@ from crazyarena.sim_backend.physics.arena_plant import (
 from crazyarena.sim_backend.physics.scene import (
     MARGIN,
     ROW_SIZE,
-    VEHICLE_HALF_LENGTH,
     ground_code,
 )
+from crazyarena.sim_backend.physics.sizes import VEHICLE_HALF_LENGTH
 from crazyarena.sim_backend.power_state import PowerStates
 from crazyarena.sim_backend.trace import NO_CONTACT, TRACE_SIZE
 from crazyarena.sim_backend.vehicles import Rows, default_rows

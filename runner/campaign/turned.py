@@ -125,9 +125,9 @@ def fly_turned(
     _, height, way = next((row for row in seen if row[0] >= at), (0.0, math.nan, math.nan))
     last = cut or warned
     return TurnedFlight(
-        math.inf if warned is None else warned.time - begun,
+        math.inf if warned is None else max(0.0, warned.time - begun),
         "" if last is None else last.detail,
-        at - begun if math.isfinite(at) else math.inf,
+        max(0.0, at - begun) if math.isfinite(at) else math.inf,
         height,
         way,
         outcome.excursion,
@@ -187,7 +187,7 @@ def fly_unguarded(angle: float, seed: int, *, climb: float = 2.0) -> TurnedFligh
             try:
                 lookout.check()
             except FlightEnded as end:
-                cut, told = now - begun, str(end)
+                cut, told = max(0.0, now - begun), str(end)  # it may be found before it moves
                 height, way = float(gone[2]), float(math.hypot(*gone[:2]))
                 break
         if caught and warned == math.inf:

@@ -125,6 +125,7 @@ def dry_run(
             view(),
             drawn,
             report,
+            view_speed,
         ):
             return
         from crazyarena.runner.dry_run import DryRun
@@ -184,6 +185,7 @@ def _flew_lsy(
     view: ViewOptions | None,
     drawn: LoadedDraw | None = None,
     report: bool = True,
+    pace: float = 1.0,
 ) -> bool:
     """Fly a controller of lsy_drone_racing, told by its file; False if this is none."""
     looks_like = submission is not None or drawn is not None or (level or "").endswith(".toml")
@@ -210,11 +212,6 @@ def _flew_lsy(
             "examples/racer_state/racer_state.py"
         )
     assert wanted is not None
-    if view is not None:
-        raise InputError(
-            "--view: flights of lsy_drone_racing are not shown live; leave it out, and then: "
-            "crazyarena replay with the results folder"
-        )
     if options.budget != type(options.budget)():
         raise InputError(
             "--step-limit, --episode-limit, --trial-limit: levels of lsy_drone_racing have none of "
@@ -246,6 +243,8 @@ def _flew_lsy(
         require_sandbox=options.require_sandbox,
         console=console,
         seeds=None if drawn is None else drawn.seeds,
+        view=view,
+        pace=pace,
     )
     result = run.run()
     tell(result, console)
@@ -256,6 +255,7 @@ def _flew_lsy(
     console.print(f"{told}. Results in {where}", highlight=False, markup=False, soft_wrap=True)
     if report and run.out is not None:
         leave_report(run.out, console)
+    run.finish()
     if result.cut_short is not None:
         raise StorageError(result.cut_short)
     if not result.clean:

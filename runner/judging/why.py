@@ -17,7 +17,10 @@ from crazyarena.runner.judging.referee import (
     Event,
 )
 from crazyarena.runner.judging.result import CONTROLLER_TIMEOUT
-from crazyarena.sim_backend.physics.scene import BEAM_OFFSET, GATE_CENTRE_Z
+from crazyarena.sim_backend.physics.sizes import (
+    BEAM_OFFSET,
+    GATE_CENTRE_Z,
+)
 from crazyarena.sim_backend.trace import TR_POS, TR_TIME, TR_VEL
 
 Array = NDArray[np.float64]

@@ -52,9 +52,11 @@ class Choice:
     wanted: Figures
     episodes: int
     _drawn: int = 0
+    _asked: int = 0
 
     def __call__(self, clean: bool) -> bool:
         """Whether to draw the next episode."""
+        self._asked += 1
         if self.wanted is Figures.NONE:
             return False
         if self.wanted is Figures.FAILURES:
@@ -65,6 +67,11 @@ class Choice:
             yes = self._drawn == 0 or (not clean and self._drawn <= FAILED)
         self._drawn += yes
         return yes
+
+    @property
+    def left(self) -> int:
+        """How many episodes are on the sheet alone."""
+        return self._asked - self._drawn if self.wanted is Figures.AUTO else 0
 
     @property
     def sheet(self) -> bool:

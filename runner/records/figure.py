@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from crazyarena import whole_file
 from crazyarena.levels.schema import Level
 from crazyarena.plain_text import unmarked
-from crazyarena.runner.judging.result import EpisodeResult
 from crazyarena.runner.records.bodies import distances, gate_openings
 from crazyarena.runner.records.marks import Mark, marks
 from crazyarena.safety.fence import Fence
-from crazyarena.sim_backend.physics.scene import (
+from crazyarena.sim_backend.physics.sizes import (
     BASE_WIDTH,
     BEAM_LENGTH,
     BEAM_WIDTH,
@@ -27,6 +26,9 @@ from crazyarena.sim_backend.physics.scene import (
     VEHICLE_RADIUS,
 )
 from crazyarena.sim_backend.trace import TR_POS, TR_SETPOINT, TR_TIME, TR_VEL
+
+if TYPE_CHECKING:  # a process that draws need not load what judges
+    from crazyarena.runner.judging.result import EpisodeResult
 
 Array = NDArray[np.float64]
 

@@ -138,6 +138,17 @@ class Pictures:
                 episode.files["figure"] = file.name
         return drawn
 
+    def told(self, drawn: Sequence[Path]) -> list[str]:
+        """What is said of the pictures: of many the first and the last."""
+        few = drawn if len(drawn) <= 3 else [drawn[0], drawn[-1]]
+        lines = [f"Figure: {shown_line(str(file))}" for file in few]
+        if len(few) < len(drawn):
+            lines.append(f"... and {len(drawn) - len(few)} more figures there")
+        if drawn and self._choice.left:
+            told = f"{self._choice.left} episodes are on {SHEET} alone"
+            lines.append(f"{told}; --figure all draws each, crazyarena replay shows all")
+        return lines
+
     @property
     def refused(self) -> list[str]:
         """Why pictures were not written."""
@@ -146,12 +157,3 @@ class Pictures:
     def close(self) -> None:
         """Drop what is not drawn yet. Idempotent."""
         self._drawer.close()
-
-
-def told_of(drawn: Sequence[Path]) -> list[str]:
-    """What is said of the pictures: of many the first and the last."""
-    told = drawn if len(drawn) <= 3 else [drawn[0], drawn[-1]]
-    lines = [f"Figure: {shown_line(str(file))}" for file in told]
-    if len(told) < len(drawn):
-        lines.append(f"... and {len(drawn) - len(told)} more figures there")
-    return lines

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crazyarena.levels.schema import Level
-from crazyarena.sim_backend.physics.scene import (
+from crazyarena.sim_backend.physics.sizes import (
     BASE_HEIGHT,
     BASE_WIDTH,
     BEAM_LENGTH,

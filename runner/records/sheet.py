@@ -88,8 +88,10 @@ def save_sheet(file: Path, level: Level, tiles: Sequence[Tile], isolated: bool =
     axis.add_collection(LineCollection(bars, colors="tab:blue", linewidths=1.6))
     for colour, paths in ways.items():
         axis.add_collection(LineCollection(paths, colors=colour, linewidths=0.9))
-    for x, y, colour in ends:
-        axis.plot(x, y, "x", color=colour, ms=4)
+    for colour in ways:
+        points = [(x, y) for x, y, own in ends if own == colour]
+        if points:
+            axis.plot(*zip(*points, strict=True), "x", color=colour, ms=4)
     axis.set_xlim(-0.02 * size[0], across * pitch[0])
     axis.set_ylim(-0.02 * size[1], down * pitch[1])
     axis.set_aspect("equal", anchor="N")

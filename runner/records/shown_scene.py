@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from crazyarena.levels.schema import Arena, Level
 from crazyarena.runner.records.scene import scene_update
 
-_NOMINAL = {"r": 0.55, "g": 0.55, "b": 0.6, "a": 0.3}
+NOMINAL = {"r": 0.55, "g": 0.55, "b": 0.6, "a": 0.3}
 
 
 def arena_data(arena: Arena) -> dict[str, Any]:
@@ -26,7 +26,7 @@ def nominal_track(level: Level) -> list[dict[str, Any]]:
     for entity in entities:
         for kind in ("cubes", "cylinders"):
             for body in entity[kind]:
-                body["color"] = _NOMINAL
+                body["color"] = NOMINAL
     return [entity for entity in entities if entity["id"] != "goal"]
 
 

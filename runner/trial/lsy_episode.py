@@ -32,6 +32,7 @@ from crazyarena.runner.judging.result import (
 )
 from crazyarena.runner.records.lsy_scene import drawn_scene
 from crazyarena.runner.records.recorder import Recorder
+from crazyarena.runner.trial.lsy_showing import LsyShowing
 from crazyarena.sim_backend.successor import SuccessorWorld
 from crazyarena.sim_backend.trace import TR_CONTACT, TR_TIME
 
@@ -76,7 +77,7 @@ class LsyEpisodeResult:
 class LsyEpisode:
     """Flies one episode; the caller closes contestant and recorder.
 
-    most: s of wall time that all its answers together may take.
+    most: s of wall time that all its answers together may take. show: to viewers, as it flies.
     """
 
     def __init__(
@@ -91,7 +92,9 @@ class LsyEpisode:
         on_step: Callable[[int, float], None] | None = None,
         wall: Clock | None = None,
         most: float = math.inf,
+        show: LsyShowing | None = None,
     ) -> None:
+        self._show = show
         self._most = most
         self._index = index
         self._level = level
@@ -109,6 +112,8 @@ class LsyEpisode:
         """Reset, construct, fly; raises InputError when the first controller cannot be made."""
         started = self._wall.now()
         self._world.reset(draw)
+        if self._show is not None:
+            self._show.begin(self._index, draw)
         obs = self._referee.begin(draw, self._world.state)
         construct = self._wall.now()
         try:
@@ -138,7 +143,8 @@ class LsyEpisode:
         step, thought = 0, 0.0
         while True:
             over = verdict is not None and (verdict.terminated or verdict.truncated)
-            draw = self._recorder is not None and step % _DRAWN_EVERY == 0
+            kept = self._recorder is not None or self._show is not None
+            draw = kept and step % _DRAWN_EVERY == 0
             asked = None if over else obs
             answer = self._contestant.ask(LsyQuestion(step, told, asked, draw))
             if answer.error is not None:
@@ -169,6 +175,8 @@ class LsyEpisode:
             if self._recorder is not None:
                 self._record(self._recorder, step / rate, answer, rows, verdict)
             step += 1
+            if self._show is not None:
+                self._show.step(step / rate, rows[-1], verdict, answer.drawings)
             if self._on_step is not None:
                 self._on_step(self._index, step / rate)
 
@@ -206,6 +214,9 @@ class LsyEpisode:
     def _result(self, reason: str, started: float, built: float) -> LsyEpisodeResult:
         referee, rate = self._referee, self._level.env.freq
         notes = list(referee.notes)
+        success = referee.passed == referee.gates
+        if self._show is not None:
+            self._show.end(referee.steps / rate, reason, success)
         if reason == CONTROLLER_FINISHED and referee.steps <= _QUICK:
             notes.append(
                 "the controller ended the episode at once: step_callback answers True where it "
@@ -214,7 +225,7 @@ class LsyEpisode:
         return LsyEpisodeResult(
             index=self._index,
             termination=reason,
-            success=referee.passed == referee.gates,
+            success=success,
             time=max(0, referee.steps - 1) / rate,
             flight_time=referee.steps / rate,
             gates_passed=referee.passed,

@@ -24,6 +24,7 @@ from crazyarena.runner.judging.referee import Event, Verdict
 from crazyarena.runner.judging.result import EpisodeResult
 from crazyarena.runner.records.shown_scene import level_scene
 from crazyarena.runner.rig.rig import Rig
+from crazyarena.runner.trial.pace import Pace
 from crazyarena.runner.trial.phase import Phase
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.frame_rate import FrameRate
@@ -84,8 +85,7 @@ class Showing:
         self._fence = Fence.from_arena(level.arena)
         self._limits = limits or Limits()
         self._wall = wall if wall is not None else WallClock()
-        self._pace = pace
-        self._paced: tuple[float, float] | None = None
+        self._pace = Pace(pace, self._wall)
         self._rig: Rig | None = None
         self._rate = FrameRate()
         self._bodies = 0
@@ -136,7 +136,7 @@ class Showing:
         names = [] if self._rig is None else [self._rig.body]
         self.live.scene(level_scene(self._level, gates, obstacles, names))
         self.live.begin()
-        self._paced = None
+        self._pace.begin()
         self._facts |= {"episode": index, "gate": 0, "time": 0.0, "missed": 0, "why": ""}
         if self._rig is None:
             self._facts["phase"] = Phase.RUN.value
@@ -161,7 +161,7 @@ class Showing:
             )
             self.live.extend()
         if self._rig is None:
-            self._keep_pace(time)
+            self._pace.keep(time)
             self._publish_now_and_then()
 
     def end(self, result: EpisodeResult) -> None:
@@ -201,22 +201,8 @@ class Showing:
         self._rate.note(frame.timestamp)
         self._bodies = len(frame.bodies)
         self._captured = frame.timestamp
-        self._keep_pace(rig.clock.now())
+        self._pace.keep(rig.clock.now())
         self._publish_now_and_then()
-
-    def _keep_pace(self, time: float) -> None:
-        """Let simulated time pass no faster than asked for."""
-        if self._pace <= 0.0:
-            return
-        now = self._wall.now()
-        if self._paced is None:
-            self._paced = (time, now)
-        began, since = self._paced
-        due = since + (time - began) / self._pace
-        if due > now:
-            self._wall.sleep_until(due)
-        elif now - due > 1.0:
-            self._paced = (time, now)  # it was held up; what is past is not made up for
 
     def _publish_now_and_then(self) -> None:
         if self._wall.now() - self._published >= PERIOD:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from crazyarena.crazyswarm_compat import commands as c
@@ -13,7 +14,7 @@ from crazyarena.safety.attitude_path import AttitudeLoss
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.flight_model import GRAVITY
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.link_loss import LinkLoss, Moving, largest_share
+from crazyarena.safety.link_loss import LinkLoss, Moving, UsualSpeed, largest_share
 from crazyarena.safety.observation import LAG, Point, as_point
 from crazyarena.safety.planner import Motion
 from crazyarena.types import VehicleState
@@ -24,9 +25,10 @@ _PEAK_ACCELERATION = 7.5132
 _VELOCITY_HORIZON = 0.5  # s of a velocity setpoint that have to end inside the fence
 _MEMORY = 0.5  # s after which the last setpoint no longer bounds the next
 _MOST_LAG = 0.4  # m
-# rad/s and cosine of a tilt, above which a vehicle needs its motors to be upright; rad and rad/s by
-# which it may be turned then.
-_TIPS, _LEANS, _FACES, _YAWS = 2.0, 0.9, 0.2, 1.0
+# rad/s and cosine of a tilt, above which a vehicle needs its motors to be upright; what it may be
+# asked to climb with then, of what they have over the weight (racers ask for all of it at times);
+# rad and rad/s by which it may be turned.
+_TIPS, _LEANS, _AMPLE, _FACES, _YAWS = 2.0, 0.9, 1.5, 0.2, 1.0
 _WAY_STEP = 0.025  # m, between looks along a way
 OUT_IF_LOST = "it would carry the vehicle out of the fence if the link were lost now"
 
@@ -53,6 +55,7 @@ class Room:
         self.limits = limits
         self.link_loss = LinkLoss(fence, limits)
         self.attitude_loss = AttitudeLoss(fence, limits)
+        self._usual: dict[int, UsualSpeed] = {}
         self.state = state
         self.parameter = parameter
 
@@ -102,7 +105,11 @@ class Room:
     def motion(self, vehicle: int) -> Moving | None:
         """How the vehicle moves, for the look at link losses; None if off, or nobody knows."""
         state = self.state(vehicle) if self.link_loss.on else None
-        return None if state is None else self.link_loss.seen(state)
+        if state is None:
+            return None
+        usual = self._usual.setdefault(vehicle, UsualSpeed())
+        moving = self.link_loss.seen(state)
+        return replace(moving, usual=usual.see(state.timestamp, moving.velocity))
 
     def inside(self, point: Point, vehicle: int, reasons: list[str], what: str) -> Point:
         margin = self.fence.soft_margin
@@ -207,11 +214,11 @@ class Room:
         if state is None or not model.follows_velocity:
             return point
         height, climb = float(state.position[2]), float(state.velocity[2])
-        spare = GRAVITY * (model.lift - 1.0) - model.feed[2] * acceleration[2]
-        spare -= model.damping[2] * (velocity[2] - climb)
-        highest = height + max(0.0, spare) / model.stiffness[2]
-        if point[2] <= highest:
+        spare, stiffness = GRAVITY * (model.lift - 1.0), model.stiffness[2]
+        taken = model.feed[2] * acceleration[2] + model.damping[2] * (velocity[2] - climb)
+        if taken + stiffness * (point[2] - height) <= _AMPLE * spare:
             return point
+        highest = min(point[2], height + max(0.0, spare - taken) / stiffness)
         reasons.append(
             f"height {point[2]:.2f} m takes all thrust while the vehicle leans or tips, "
             f"{highest:.2f} m for now"

@@ -49,6 +49,8 @@ from crazyarena.sim_backend.physics.scene import (
     S_HALF,
     S_KIND,
     S_ROTATION,
+)
+from crazyarena.sim_backend.physics.sizes import (
     VEHICLE_HALF_LENGTH,
     VEHICLE_RADIUS,
 )

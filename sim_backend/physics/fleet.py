@@ -27,6 +27,8 @@ from crazyarena.sim_backend.physics.scene import (
     MARGIN,
     S_CENTRE,
     S_ROTATION,
+)
+from crazyarena.sim_backend.physics.sizes import (
     VEHICLE_HALF_LENGTH,
     VEHICLE_RADIUS,
 )

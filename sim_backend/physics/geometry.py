@@ -33,6 +33,8 @@ from crazyarena.sim_backend.physics.scene import (
     S_KIND,
     S_RADIUS,
     S_ROTATION,
+)
+from crazyarena.sim_backend.physics.sizes import (
     VEHICLE_HALF_LENGTH,
     VEHICLE_RADIUS,
 )

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from crazyarena.errors import DependencyMissing
 from crazyarena.sim_backend.physics import scene as s
+from crazyarena.sim_backend.physics import sizes
 from crazyarena.sim_backend.physics.competition_step import (
     B_OMEGA,
     B_POS,
@@ -56,18 +57,18 @@ def _cylinder(radius: float, length: float) -> str:
     return f'<cylinder radius="{radius}" length="{length}"/>'
 
 
-_BASE = ((0, 0, -s.BASE_DROP), _box(s.BASE_WIDTH, s.BASE_WIDTH, s.BASE_HEIGHT))
-_LYING = _box(s.BEAM_LENGTH, s.BEAM_WIDTH, s.BEAM_WIDTH)
-_STANDING = _box(s.BEAM_WIDTH, s.BEAM_WIDTH, s.BEAM_LENGTH)
+_BASE = ((0, 0, -sizes.BASE_DROP), _box(sizes.BASE_WIDTH, sizes.BASE_WIDTH, sizes.BASE_HEIGHT))
+_LYING = _box(sizes.BEAM_LENGTH, sizes.BEAM_WIDTH, sizes.BEAM_WIDTH)
+_STANDING = _box(sizes.BEAM_WIDTH, sizes.BEAM_WIDTH, sizes.BEAM_LENGTH)
 _FRAME = (
-    ((0, 0, s.BEAM_OFFSET), _LYING),
-    ((0, 0, -s.BEAM_OFFSET), _LYING),
-    ((s.BEAM_OFFSET, 0, 0), _STANDING),
-    ((-s.BEAM_OFFSET, 0, 0), _STANDING),
+    ((0, 0, sizes.BEAM_OFFSET), _LYING),
+    ((0, 0, -sizes.BEAM_OFFSET), _LYING),
+    ((sizes.BEAM_OFFSET, 0, 0), _STANDING),
+    ((-sizes.BEAM_OFFSET, 0, 0), _STANDING),
 )
-_POST = ((0, 0, -s.POST_DROP), _cylinder(s.POST_RADIUS, s.POST_LENGTH))
-_POLE = ((0, 0, 0), _cylinder(s.OBSTACLE_RADIUS, s.OBSTACLE_LENGTH))
-_HULL = ((0, 0, 0), _cylinder(s.VEHICLE_RADIUS, 2 * s.VEHICLE_HALF_LENGTH))
+_POST = ((0, 0, -sizes.POST_DROP), _cylinder(sizes.POST_RADIUS, sizes.POST_LENGTH))
+_POLE = ((0, 0, 0), _cylinder(sizes.OBSTACLE_RADIUS, sizes.OBSTACLE_LENGTH))
+_HULL = ((0, 0, 0), _cylinder(sizes.VEHICLE_RADIUS, 2 * sizes.VEHICLE_HALF_LENGTH))
 _FLOOR = ((0, 0, -5), _box(200, 200, 10))
 
 
@@ -183,13 +184,13 @@ class PyBulletEngine:
         """Contact code of every static body."""
         codes: dict[int, int] = {}
         for x, y, _, roll, pitch, yaw, kind in gates:
-            shapes = (*_FRAME, _POST if kind == s.TALL else _BASE)
+            shapes = (*_FRAME, _POST if kind == sizes.TALL else _BASE)
             urdf = _static_urdf("gate", shapes, 0.5)
-            z = s.GATE_CENTRE_Z[int(kind)]
+            z = sizes.GATE_CENTRE_Z[int(kind)]
             codes[self._load(folder, urdf, (x, y, z), (roll, pitch, yaw))] = len(codes)
         for x, y, _, roll, pitch, yaw in obstacles:
             urdf = _static_urdf("obstacle", (_POLE, _BASE), 0.5)
-            at = (x, y, s.OBSTACLE_CENTRE_Z)
+            at = (x, y, sizes.OBSTACLE_CENTRE_Z)
             codes[self._load(folder, urdf, at, (roll, pitch, yaw))] = len(codes)
         if ground:
             urdf = _static_urdf("ground", (_FLOOR,), 1.0)

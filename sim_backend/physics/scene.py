@@ -18,6 +18,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from crazyarena.errors import InputError
 from crazyarena.jit import kernel
+from crazyarena.sim_backend.physics.sizes import (
+    BASE_DROP,
+    BASE_HEIGHT,
+    BASE_WIDTH,
+    BEAM_LENGTH,
+    BEAM_OFFSET,
+    BEAM_WIDTH,
+    GATE_CENTRE_Z,
+    LOW,
+    OBSTACLE_CENTRE_Z,
+    OBSTACLE_LENGTH,
+    OBSTACLE_RADIUS,
+    POST_DROP,
+    POST_LENGTH,
+    POST_RADIUS,
+    TALL,
+)
 
 # Row of one primitive, or of an object's header.
 S_KIND = 0  # BOX, CYLINDER (axis along local z) or GROUP
@@ -38,25 +55,6 @@ GROUP = 2.0
 
 MARGIN = 0.001  # m, Bullet's collision margin, as PyBullet sets it
 FACETS = 32  # PyBullet turns a cylinder into a prism; the radius is that of the corners
-
-# Competition assets, m.
-TALL, LOW = 0, 1  # gate types
-GATE_CENTRE_Z = (1.0, 0.525)  # by type
-BEAM_WIDTH = 0.05
-BEAM_LENGTH = 0.5
-BEAM_OFFSET = 0.225  # centre of the gate to the centre line of a beam
-POST_RADIUS = 0.05
-POST_LENGTH = 0.8
-POST_DROP = 0.6  # centre of a tall gate to the centre of its post
-BASE_WIDTH = 0.15
-BASE_HEIGHT = 0.25
-BASE_DROP = 0.4  # centre of a low gate, or of an obstacle, to the centre of its base box
-OBSTACLE_CENTRE_Z = 0.525
-OBSTACLE_RADIUS = 0.05
-OBSTACLE_LENGTH = 0.8
-
-VEHICLE_RADIUS = 0.06
-VEHICLE_HALF_LENGTH = 0.0125
 
 GATE_PRIMITIVES = 5
 OBSTACLE_PRIMITIVES = 2

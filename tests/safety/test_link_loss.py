@@ -33,35 +33,42 @@ pushes = st.tuples(st.floats(-4.0, 4.0), st.floats(-4.0, 4.0), st.floats(-2.0, 2
 @given(
     stiffness=st.floats(0.5, 30.0),
     damping=st.floats(0.1, 12.0),
+    drag=st.floats(0.0, 1.5),
     away=st.floats(-1.0, 1.0),
     speed=st.floats(-3.0, 3.0),
     push=st.floats(-4.0, 4.0),
     swing=st.floats(-20.0, 20.0),
     left=st.floats(-4.0, 4.0),
+    usual=st.floats(-3.0, 3.0),
 )
 @settings(max_examples=40, deadline=None)
-def test_the_spring_moves_as_its_equation_says(stiffness, damping, away, speed, push, swing, left):
+def test_the_spring_moves_as_its_equation_says(
+    stiffness, damping, drag, away, speed, push, swing, left, usual
+):
     model = replace(
         FlightModel(),
         stiffness=(stiffness, stiffness, 38.0),
         damping=(damping, damping, 12.0),
+        drag=drag,
     )
     w, z = model.swinging
 
     def rates(t, y):
-        x, v, b, turn = y
-        asked = -stiffness * x - damping * v if t < 0.5 else link_loss._LEFT * left
-        return v, b, turn, w * w * (asked - b) - 2.0 * z * w * turn
+        believed, fast, b, turn, _, v = y
+        asked = -stiffness * believed - damping * fast if t < 0.5 else link_loss._LEFT * left
+        swings = w * w * (asked - b) - 2.0 * z * w * turn
+        return fast, b, turn, swings, v, b + drag * (usual - v)
 
-    state, solved = (away, speed, push, swing), []
+    state, solved = (away, (1.0 + 0.1 * drag) * speed, 0.0, swing, away, speed), []
+    state = (*state[:2], push + drag * (speed - usual), *state[3:])
     for begin, end in itertools.pairwise((0.0, 0.25, 0.5, 0.6, 1.0)):
         # To the moment at which it levels out, not beyond.
         state = solve_ivp(
             rates, (begin, end - 1e-9), state, method="LSODA", rtol=1e-9, atol=1e-11
         ).y[:, -1]
-        solved.append(state[0])
-    got = link_loss._Sideways.of(model).ways(away, speed, push, swing, left)
-    assert got == pytest.approx([*solved, state[1]], rel=1e-5, abs=1e-5)
+        solved.append(state[4])
+    got = link_loss._Sideways.of(model).ways(away, speed, push, swing, left, usual)
+    assert got == pytest.approx([*solved, state[5]], rel=1e-5, abs=1e-5)
 
 
 @pytest.mark.parametrize("controller", [1, 2])
@@ -153,7 +160,7 @@ def test_the_firmware_goes_no_further_than_foretold(controller, vehicle):
         assert 0.2 * lost_at.velocity[0] < gone <= foretold + 0.04
         apart.append(foretold - gone)
     # The PID lets itself be led by its own limit of speed, which is not reckoned with.
-    assert max(apart[: 1 if controller == 1 else None]) < 0.35
+    assert max(apart[: 1 if controller == 1 else None]) < 0.55
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0])

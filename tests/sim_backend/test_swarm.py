@@ -19,7 +19,8 @@ from crazyarena.sim_backend.arena_kernel import DT
 from crazyarena.sim_backend.physics import competition_step as cs
 from crazyarena.sim_backend.physics import fleet as kernels
 from crazyarena.sim_backend.physics.arena_plant import ARENA_BODY_SIZE
-from crazyarena.sim_backend.physics.scene import MARGIN, VEHICLE_HALF_LENGTH
+from crazyarena.sim_backend.physics.scene import MARGIN
+from crazyarena.sim_backend.physics.sizes import VEHICLE_HALF_LENGTH
 from crazyarena.sim_backend.trace import TRACE_SIZE
 from tests.optional import needs_pybullet
 

@@ -115,3 +115,35 @@ def _verdict_size():
     from crazyarena.runner.judging import verdict_row
 
     return verdict_row.SIZE
+
+
+def test_every_message_is_one_of_foxgloves_own(messages):
+    """Read by the classes Foxglove publishes: no field is unknown, none has another type."""
+    from google.protobuf import json_format
+
+    seen = set()
+    for schema, _, _, content in messages:
+        package, _, name = schema.name.partition(".")
+        if package != "foxglove":
+            continue
+        module = pytest.importorskip(f"foxglove_schemas_protobuf.{name}_pb2")
+        json_format.ParseDict(_in_protobuf(content), getattr(module, name)())
+        seen.add(schema.name)
+    assert seen == {name for name in TOPICS.values() if name.startswith("foxglove.")}
+
+
+def _in_protobuf(value):
+    """A message of the JSON encoding as protobuf's: times and durations are written otherwise."""
+    if isinstance(value, list):
+        return [_in_protobuf(entry) for entry in value]
+    if not isinstance(value, dict):
+        return value
+    plain = {}
+    for name, entry in value.items():
+        if isinstance(entry, dict) and set(entry) == {"sec", "nsec"}:
+            moment = np.datetime64(entry["sec"] * 10**9 + entry["nsec"], "ns")
+            lasting = f"{entry['sec']}.{entry['nsec']:09d}s"
+            plain[name] = lasting if name == "lifetime" else f"{moment}Z"
+        else:
+            plain[name] = _in_protobuf(entry)
+    return plain

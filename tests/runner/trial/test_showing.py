@@ -10,6 +10,7 @@ from rich.console import Console
 
 from crazyarena.live import POSITION, STOP, VELOCITY, Live, Watched
 from crazyarena.runner.dry_run import DryRun
+from crazyarena.runner.trial.pace import Pace
 from crazyarena.runner.trial.showing import supervisor_words
 from crazyarena.viewer_process import View
 
@@ -95,7 +96,7 @@ def test_an_arena_flight_shows_every_phase_and_what_the_operator_needs(tmp_path,
     assert float(ahead @ row[VELOCITY : VELOCITY + 3]) >= 0.0
 
 
-def test_simulated_time_keeps_the_pace_asked_for(tmp_path, view):
+def test_simulated_time_keeps_the_pace_asked_for():
     class Wall:
         def __init__(self):
             self.time = 0.0
@@ -107,17 +108,16 @@ def test_simulated_time_keeps_the_pace_asked_for(tmp_path, view):
             self.time = deadline
             return 0.0
 
-    from crazyarena.levels import load_level
-    from crazyarena.runner.trial.showing import Showing
-
     wall = Wall()
-    show = Showing(view.live, load_level("level0"), 1, pace=2.0, wall=wall)
+    pace = Pace(2.0, wall)
     for time in np.arange(0.0, 10.01, 0.5):
-        show._keep_pace(float(time))
+        pace.keep(float(time))
     assert wall.time == pytest.approx(5.0)
     wall.time += 60.0  # the machine slept
-    show._keep_pace(10.5)
-    show._keep_pace(11.5)
+    pace.keep(10.5)
+    pace.keep(11.5)
+    assert wall.time == pytest.approx(65.5)
+    Pace(0.0, wall).keep(1e9)
     assert wall.time == pytest.approx(65.5)
 
 
