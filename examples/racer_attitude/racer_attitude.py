@@ -19,7 +19,7 @@ LAG = 0.14  # s, that attitude and rotors are behind
 STIFFNESS = np.array([22.0, 22.0, 30.0])  # 1/s2
 DAMPING = np.array([9.0, 9.0, 11.0])  # 1/s
 INTEGRAL = np.array([4.0, 4.0, 10.0])  # 1/s3
-TILT = 0.9  # rad, the most
+TILT = 0.8  # rad, the most
 
 
 class RacerAttitude(Controller):

@@ -17,6 +17,7 @@ GRAVITY = np.array([0.0, 0.0, 9.81])
 MASS_THRUST = 132000.0  # motor units per N, on board
 MASS_ON_BOARD = {"cf21B_500": 0.0393, "cf2x_T350": 0.0325}  # kg; 0.029 elsewhere
 LAG = 0.14  # s
+LEARN = 4.0  # 1/m2
 INTEGRAL = 4.0  # 1/s3
 STIFFEN = np.array([0.6, 0.3])  # shares of the errors of place and velocity, added to them
 
@@ -34,6 +35,7 @@ class RacerState(Controller):
         self.scale = MASS_THRUST / params["pwm_max"] * 4.0 * params["thrust_max"]
         self.navigator = Navigator(obs, self.period)
         self.bias = np.zeros(3)
+        self.behind = 0.0  # 1/s
         self.step = 0
 
     def compute_control(self, obs, info=None):
@@ -41,11 +43,14 @@ class RacerState(Controller):
         self.navigator.look(obs, t)
         place, velocity, _ = self.navigator.reference(t)
         _, ahead, push = self.navigator.reference(t + LAG)
-        push = push + self.drag * ahead
+        push = push + (self.drag + self.behind) * ahead
         error = place - obs["pos"]
         if t >= TAKE_OFF:
             velocity = velocity + STIFFEN[1] * (velocity - obs["vel"])
             place = place + STIFFEN[0] * error
+            # What it is behind on its way it will be behind all the way.
+            self.behind += LEARN * self.period * (error @ velocity)
+            self.behind = np.clip(self.behind, 0.0, 1.2)
             self.bias += INTEGRAL * self.period * error
             self.bias = np.clip(self.bias, -1.5, 1.5)
         force = self.mass * (push + self.bias + GRAVITY) / self.scale
