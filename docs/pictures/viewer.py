@@ -99,7 +99,9 @@ def operator(folder: Path, runs: str, name: str, size: tuple[int, int]) -> None:
             until(lambda: "gate passed" in text(driver))
             settle(driver)
             if "STOP" not in text(driver):
-                raise SystemExit("the flight was over before its page was drawn: too busy a machine")
+                raise SystemExit(
+                    "the flight was over before its page was drawn: too busy a machine"
+                )
             save(driver, folder / f"viewer_operator_{name}.png")
 
 
