@@ -98,6 +98,10 @@ def operator(folder: Path, runs: str, name: str, size: tuple[int, int]) -> None:
             open_tab(driver, "Operator")
             until(lambda: "gate passed" in text(driver))
             settle(driver)
+            if "STOP" not in text(driver):
+                raise SystemExit(
+                    "the flight was over before its page was drawn: too busy a machine"
+                )
             save(driver, folder / f"viewer_operator_{name}.png")
 
 
