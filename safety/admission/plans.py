@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.safety.admission.agility import overtaxed
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room, text
 from crazyarena.safety.fence import Fence
@@ -151,6 +152,9 @@ def _excess(room: Room, plan: Plan, origin: Motion) -> float:
     ):
         if np.linalg.norm(rows, axis=1).max() > _SLACK * max(limit, now):
             return math.inf
+    taxed = overtaxed(plan, n.vehicle, _SAMPLES, _SAMPLE_STEP, origin.acceleration)
+    if taxed is not None:
+        return math.inf
     fence = room.fence
     # No nearer to the fence than where it begins and ends, or the soft limit; one who is fast has
     # the tilt to go with it, of which the plan knows nothing.
