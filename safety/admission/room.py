@@ -263,12 +263,15 @@ class Room:
         x, y, z = (a + share * (b - a) for a, b in zip(where, point, strict=True))
         return x, y, z
 
-    def duration(self, distance: float, duration: float, reasons: list[str]) -> float:
-        """The duration, or the shortest that keeps the polynomial within the limits."""
+    def duration(
+        self, distance: float, duration: float, reasons: list[str], most: float = math.inf
+    ) -> float:
+        """The duration, or the shortest that keeps the polynomial within the limits, and its
+        acceleration within ``most``, m/s2."""
         n = self.limits
         least = max(
             _PEAK_SPEED * distance / n.setpoint_speed,
-            math.sqrt(_PEAK_ACCELERATION * distance / n.setpoint_acceleration),
+            math.sqrt(_PEAK_ACCELERATION * distance / min(n.setpoint_acceleration, most)),
         )
         if duration >= least:
             return duration
