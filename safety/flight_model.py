@@ -26,6 +26,7 @@ PID, MELLINGER = 1, 2
 BRAKING = {0: 3.5, PID: 3.5, MELLINGER: 6.0}
 GENTLEST = min(BRAKING.values())
 _OF_AGILITY = 0.98  # share of the motors' strength that braking may take
+_SHARPEST = 0.75  # share of that strength that body rates may ask for; 1.0 goes over in simulation
 _LEAST = 0.3  # m/s2, of a vehicle that can hardly lift itself
 _SPEEDS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5)  # m/s, from which stops are looked at
 _STEP, _PATIENCE = 0.005, 4.0  # s
@@ -81,6 +82,14 @@ class FlightModel:
     def strongest(self) -> float:
         """m/s2, the strongest horizontal acceleration that the motors have at constant height."""
         return GRAVITY * math.sqrt(max(self.lift * self.lift - 1.0, 0.0))
+
+    @property
+    def sharpest(self) -> float:
+        """rad/s at which a plan may tip the vehicle: such rates are told along with it, and with
+        more of them the attitude loop asks for a lean that it does not come back from."""
+        if self.lean <= 0.0:
+            return math.inf
+        return _SHARPEST * self.strongest / (self.lean * GRAVITY)
 
     def response(self, braking: float) -> float:
         """s for which a stop with ``braking``, m/s2, seems to begin too late, from speeds up to

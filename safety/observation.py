@@ -31,6 +31,7 @@ class Observation:
     airborne: off the ground, as far as anybody knows.
     position, velocity: m, m/s, world; None when neither cameras nor vehicle know.
     quaternion: x, y, z, w.
+    rates: rad/s, of the body.
     pose_age: s since the capture of the last believed pose; inf before the first.
     camera_rate: Hz, of the frames of the last second.
     doubted: s for which poses have arrived that were not believed (0 while they are).
@@ -59,6 +60,7 @@ class Observation:
     position: Point | None = None
     velocity: Point = (0.0, 0.0, 0.0)
     quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    rates: Point = (0.0, 0.0, 0.0)
     pose_age: float = 0.0
     camera_rate: float | None = None
     doubted: float = 0.0

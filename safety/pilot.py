@@ -12,8 +12,10 @@ from dataclasses import replace
 
 from crazyarena.crazyswarm_compat.commands import Command, CutMotors, Emergency, FullState
 from crazyarena.errors import InputError
+from crazyarena.safety import steerable
 from crazyarena.safety.events import Action
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.flight_model import GRAVITY
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.link_loss import LinkLoss, Moving, UsualSpeed
@@ -134,7 +136,8 @@ class SafePilot:
             self.reference = None
             self.landed = obs.time - self._stopping >= _STOP_TIME
             return [CutMotors()]
-        return [self._unwound(self._mindful(self._fly(action, obs), obs))]
+        told = self._mindful(self._fly(action, obs), obs)
+        return [self._unwound(self._steerable(told, obs))]
 
     def _mindful(self, setpoint: FullState, obs: Observation) -> FullState:
         """The setpoint as it may be the last one to arrive."""
@@ -152,6 +155,21 @@ class SafePilot:
             return setpoint
         return replace(setpoint, position=slower[0], velocity=slower[1])
 
+    def _steerable(self, setpoint: FullState, obs: Observation) -> FullState:
+        """At a height that leaves the motors what keeps the vehicle upright: a hold that asks for
+        all of their thrust, or for none, has it go over."""
+        place = obs.flown_from(self._limits.disagreement)
+        if place is None:
+            return setpoint
+        model = self._limits.vehicle
+        x, y, z = as_point(setpoint.position)
+        told = as_point(setpoint.velocity)[2], as_point(setpoint.acceleration)[2]
+        if not self._descending:  # one that stands on something is told to be far below
+            z = steerable.lowest(model, place[2], self._velocity[2], z, *told)
+        if steerable.is_busy(obs.upright, steerable.tipping(obs.rates)):
+            z = steerable.highest(model, place[2], self._velocity[2], z, *told)
+        return replace(setpoint, position=(x, y, z))
+
     def _begin(self, obs: Observation) -> None:
         self._begun = self._moved = obs.time
         self._yaw = obs.yaw if math.isfinite(obs.yaw) else 0.0
@@ -166,7 +184,7 @@ class SafePilot:
             braking = min(braking, _BLIND_BRAKING)
         stop = math.hypot(*velocity) / braking
         # A climb is braked gently: rotors that stand still cannot steer.
-        times = (stop, stop, max(stop, velocity[2] / _UPWARDS))
+        times = (stop, stop, max(stop, self._level_off(position[2], velocity[2])))
         self._brake = (position, velocity, times)
         x, y, z = (p + 0.5 * v * t for p, v, t in zip(position, velocity, times, strict=True))
         rest = (x, y, z)
@@ -176,6 +194,14 @@ class SafePilot:
             self._target = self._fence.nearest(rest, self._limits.inside, position)
         except InputError:
             self._target = rest
+
+    def _level_off(self, height: float, climb: float) -> float:
+        """s, to end a climb in: more sharply if the ceiling is near, but rotors turn."""
+        if climb <= 0.0:
+            return 0.0
+        free = max(self._fence.bounds[1][2] - self._limits.inside - height, 0.0)
+        hard = (1.0 - steerable.LEAST_LIFT) * GRAVITY
+        return max(climb / hard, min(climb / _UPWARDS, 2.0 * free / climb))
 
     def _is_down(self, action: Action, obs: Observation) -> bool:
         if not obs.airborne:

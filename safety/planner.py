@@ -21,6 +21,7 @@ from crazyarena.safety.observation import Point, as_point
 Array = NDArray[np.float64]
 
 _POWERS = np.arange(8)
+_JERK = np.array([6.0, 24.0, 60.0, 120.0, 210.0])  # of the third derivative, from order 3 on
 # Of the coefficients of orders 4..7 over the unit interval: place, velocity, acceleration and
 # jerk at its end.
 _END = np.array([[1, 1, 1, 1], [4, 5, 6, 7], [12, 20, 30, 42], [24, 60, 120, 210]], dtype=float)
@@ -75,12 +76,26 @@ class Plan:
         At least ``least`` in each piece, at most ``step`` s apart as long as that takes no more
         than 400.
         """
-        rows = []
-        for duration, axes in zip(self.durations, self.coefficients, strict=True):
-            count = min(max(least, int(duration / step) + 1), 400)
-            rows.append(_evaluate(axes, np.linspace(0.0, float(duration), count)))
+        rows = [_evaluate(axes, times) for axes, times in self._looks(least, step)]
         places, velocities, accelerations = zip(*rows, strict=True)
         return np.concatenate(places), np.concatenate(velocities), np.concatenate(accelerations)
+
+    def jerks(self, least: int, step: float) -> Array:
+        """m/s3, (k, 3), at the same times."""
+        return np.concatenate(
+            [
+                (_JERK * times[:, None] ** _POWERS[:5]) @ axes[:, 3:].T
+                for axes, times in self._looks(least, step)
+            ]
+        )
+
+    def _looks(self, least: int, step: float) -> list[tuple[Array, Array]]:
+        """Coefficients and times of every piece."""
+        looks = []
+        for duration, axes in zip(self.durations, self.coefficients, strict=True):
+            count = min(max(least, int(duration / step) + 1), 400)
+            looks.append((axes, np.linspace(0.0, float(duration), count)))
+        return looks
 
     def moved(self, shift: Array) -> Plan:
         """The same plan, ``shift`` (3,) m away."""

@@ -432,7 +432,7 @@ class Watchdog:
         obs.position = as_point(state.position)
         obs.velocity = as_point(state.velocity)
         x, y, z, w = state.quaternion.tolist()
-        obs.quaternion = (x, y, z, w)
+        obs.quaternion, obs.rates = (x, y, z, w), as_point(state.angular_velocity)
 
     def _is_airborne(self, watched: _Watched, obs: Observation) -> bool:
         if not obs.active:

@@ -13,12 +13,15 @@ from dataclasses import replace
 import numpy as np
 
 from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.safety.admission.agility import overtaxed
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room, text
 from crazyarena.safety.fence import Fence
+from crazyarena.safety.flight_model import GRAVITY
 from crazyarena.safety.link_loss import largest_share
 from crazyarena.safety.observation import Point, as_point
 from crazyarena.safety.planner import Motion, Plan, to_rest
+from crazyarena.safety.steerable import LEAST_LIFT
 
 _SAMPLES, _SAMPLE_STEP = 24, 0.1
 _STRETCH, _STRETCHES = 1.15, 24  # up to 25 times as long
@@ -71,7 +74,8 @@ def land(room: Room, m: c.Land, memory: VehicleMemory, now: float) -> tuple[c.Co
     seen = room.seen(memory.vehicle)
     begin = memory.planner.last_known(now, seen)
     drop = 0.0 if begin is None else abs(begin[2] - height)
-    duration = room.duration(drop, float(m.duration), reasons)
+    # It may come from anywhere, however fast: its rotors have to turn.
+    duration = room.duration(drop, float(m.duration), reasons, (1.0 - LEAST_LIFT) * GRAVITY)
     plan = None
     if begin is not None:
         below = (begin[0], begin[1], height)
@@ -151,6 +155,8 @@ def _excess(room: Room, plan: Plan, origin: Motion) -> float:
     ):
         if np.linalg.norm(rows, axis=1).max() > _SLACK * max(limit, now):
             return math.inf
+    if overtaxed(plan, n.vehicle, _SAMPLES, _SAMPLE_STEP, origin.acceleration) is not None:
+        return math.inf
     fence = room.fence
     # No nearer to the fence than where it begins and ends, or the soft limit; one who is fast has
     # the tilt to go with it, of which the plan knows nothing.

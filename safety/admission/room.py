@@ -9,10 +9,10 @@ from typing import Any
 
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import InputError
+from crazyarena.safety import steerable
 from crazyarena.safety.admission.memory import Refused, VehicleMemory
 from crazyarena.safety.attitude_path import AttitudeLoss
 from crazyarena.safety.fence import Fence
-from crazyarena.safety.flight_model import GRAVITY
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.link_loss import LinkLoss, Moving, UsualSpeed, largest_share
 from crazyarena.safety.observation import LAG, Point, as_point
@@ -25,10 +25,7 @@ _PEAK_ACCELERATION = 7.5132
 _VELOCITY_HORIZON = 0.5  # s of a velocity setpoint that have to end inside the fence
 _MEMORY = 0.5  # s after which the last setpoint no longer bounds the next
 _MOST_LAG = 0.4  # m
-# rad/s and cosine of a tilt, above which a vehicle needs its motors to be upright; what it may be
-# asked to climb with then, of what they have over the weight (racers ask for all of it at times);
-# rad and rad/s by which it may be turned.
-_TIPS, _LEANS, _AMPLE, _FACES, _YAWS = 2.0, 0.9, 1.5, 0.2, 1.0
+_FACES, _YAWS = 0.2, 1.0  # rad and rad/s by which a vehicle may be turned that leans or tips
 _WAY_STEP = 0.025  # m, between looks along a way
 OUT_IF_LOST = "it would carry the vehicle out of the fence if the link were lost now"
 
@@ -210,15 +207,14 @@ class Room:
     ) -> Point:
         """Lower a place to which a vehicle that is busy with its attitude would climb with all it
         has: the motors have nothing left then to stop its turn, and it goes over."""
-        state, model = self._busy(memory.vehicle), self.limits.vehicle
-        if state is None or not model.follows_velocity:
+        state = self._busy(memory.vehicle)
+        if state is None:
             return point
         height, climb = float(state.position[2]), float(state.velocity[2])
-        spare, stiffness = GRAVITY * (model.lift - 1.0), model.stiffness[2]
-        taken = model.feed[2] * acceleration[2] + model.damping[2] * (velocity[2] - climb)
-        if taken + stiffness * (point[2] - height) <= _AMPLE * spare:
+        told = point[2], velocity[2], acceleration[2]
+        highest = steerable.highest(self.limits.vehicle, height, climb, *told)
+        if highest >= point[2]:
             return point
-        highest = min(point[2], height + max(0.0, spare - taken) / stiffness)
         reasons.append(
             f"height {point[2]:.2f} m takes all thrust while the vehicle leans or tips, "
             f"{highest:.2f} m for now"
@@ -253,8 +249,8 @@ class Room:
         if state is None:
             return None
         x, y, _, _ = (float(value) for value in state.quaternion)
-        rate = math.hypot(*state.angular_velocity[:2].tolist())
-        return state if rate > _TIPS or 1.0 - 2.0 * (x * x + y * y) < _LEANS else None
+        rate = steerable.tipping(as_point(state.angular_velocity))
+        return state if steerable.is_busy(1.0 - 2.0 * (x * x + y * y), rate) else None
 
     def _in_sight(self, where: Point, point: Point, reasons: list[str]) -> Point:
         """``point``, or the last place before fence or zone on the straight way to it."""
@@ -267,12 +263,15 @@ class Room:
         x, y, z = (a + share * (b - a) for a, b in zip(where, point, strict=True))
         return x, y, z
 
-    def duration(self, distance: float, duration: float, reasons: list[str]) -> float:
-        """The duration, or the shortest that keeps the polynomial within the limits."""
+    def duration(
+        self, distance: float, duration: float, reasons: list[str], most: float = math.inf
+    ) -> float:
+        """The duration, or the shortest that keeps the polynomial within the limits, and its
+        acceleration within ``most``, m/s2."""
         n = self.limits
         least = max(
             _PEAK_SPEED * distance / n.setpoint_speed,
-            math.sqrt(_PEAK_ACCELERATION * distance / n.setpoint_acceleration),
+            math.sqrt(_PEAK_ACCELERATION * distance / min(n.setpoint_acceleration, most)),
         )
         if duration >= least:
             return duration

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.safety.admission.memory import VehicleMemory
-from crazyarena.safety.admission.room import OUT_IF_LOST, Room, yaw_of
+from crazyarena.safety.admission.room import OUT_IF_LOST, Room, towards, yaw_of
 from crazyarena.safety.observation import as_point
 
 
@@ -83,6 +83,9 @@ def hover(room: Room, m: c.Hover, memory: VehicleMemory, now: float) -> tuple[c.
         wx, wy, _ = room.near_fence((x, y, z), (*world, 0.0), reasons)
         velocity = (cos * wx + sin * wy, cos * wy - sin * wx, 0.0)
         height = room.inside((x, y, height), memory.vehicle, reasons, "height at")[2]
+        if room.limits.vehicle.follows_velocity:  # others bound the speed of a climb on board
+            lead = room.limits.setpoint_lead
+            height = towards((x, y, z), (x, y, height), lead, "vehicle", reasons)[2]
         height = room.upright((x, y, height), memory, reasons)[2]
     else:
         low, high = room.fence.bounds

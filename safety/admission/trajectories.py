@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.safety.admission.agility import overtaxed
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room
 from crazyarena.safety.observation import as_point
@@ -79,6 +80,9 @@ def start(
             raise memory.refusal(
                 m, f"{what} reaches {found:.2f}, above {limit:g}; use a larger timescale"
             )
+    taxed = overtaxed(plan, n.vehicle, _SAMPLES_PER_PIECE, _SAMPLE_STEP)
+    if taxed is not None:
+        raise memory.refusal(m, f"{taxed}; use a larger timescale")
     shift = np.array(seen_plan.at(0.0).position) - places[0]
     for away in [np.zeros(3)] if np.abs(shift).max() < _SAME_PLACE else [np.zeros(3), shift]:
         worst = min(room.fence.room(x, y, z) for x, y, z in (places + away).tolist())

@@ -13,7 +13,7 @@ from typing import Any
 
 from crazyarena.runner.contestant.compute import Budget
 from crazyarena.safety import estop_socket, gate, guard, heading, preflight, tipping, watchdog
-from crazyarena.safety.admission import attitudes, parameters, plans
+from crazyarena.safety.admission import attitudes, parameters, plans, trajectories
 from crazyarena.safety.admission.fitters import FITTERS
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room
@@ -161,6 +161,18 @@ OTHERS: dict[str, tuple[Callable[[], None], str]] = {
     "upright": (_without(Room, "upright", lambda self, point, *args: point), "test_gate.py"),
     "facing": (_without(Room, "facing", lambda self, yaw, *args: yaw), "test_gate.py"),
     "turning": (_without(Room, "turning", lambda self, rate, *args: rate), "test_gate.py"),
+    # The watchdog's own hold asks for all thrust, or for none.
+    "steerable": (
+        _without(SafePilot, "_steerable", lambda self, setpoint, obs: setpoint),
+        "test_pilot.py",
+    ),
+    "level_off": (
+        _without(SafePilot, "_level_off", lambda self, height, climb: climb / 2.5),
+        "test_pilot.py",
+    ),
+    # Plans for more than motors and attitude have.
+    "overtaxed": (_without(plans, "overtaxed", lambda *args: None), "test_gate.py"),
+    "overtaxed_upload": (_without(trajectories, "overtaxed", lambda *args: None), "test_gate.py"),
     "in_sight": (
         _without(Room, "_in_sight", lambda self, where, point, reasons: point),
         "test_gate.py",

@@ -14,10 +14,12 @@ from hypothesis import strategies as st
 from crazyarena.clock import VirtualClock
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import BackendError, CommandError
+from crazyarena.safety.admission.agility import overtaxed
 from crazyarena.safety.fence import Zone
-from crazyarena.safety.flight_model import FlightModel
+from crazyarena.safety.flight_model import PID, FlightModel
 from crazyarena.safety.gate import CommandGate, Policy, Refused
 from crazyarena.safety.limits import Limits
+from crazyarena.safety.planner import Motion, to_rest
 from crazyarena.safety.shapes import Box
 from crazyarena.types import Pose, Telemetry, VehicleState
 from tests.safety.scenes import fence
@@ -248,6 +250,8 @@ def test_a_bare_position_is_held_inside_and_near_the_vehicle():
 def test_a_landing_takes_the_time_it_needs_and_ends_below_the_ceiling():
     rig = Rig(where=(0.0, 0.0, 1.8))
     assert 35 / 16 * 1.78 / rig.send(c.Land(0.02, 0.1)).duration <= 3.0 + 0.1
+    # Rotors that stand cannot steer, whatever it has to be steered out of.
+    assert 7.51 * 0.98 / rig.send(c.Land(0.02, 0.1)).duration ** 2 < 6.0
     assert rig.send(c.Land(5.0, 5.0)).height == pytest.approx(1.95)
 
 
@@ -260,10 +264,62 @@ def test_velocity_towards_a_wall_is_slowed():
 
 
 def test_hover_is_slowed_and_its_height_clamped():
-    rig = Rig(where=(2.5, 0.0, 1.0))
+    rig = Rig(where=(2.5, 0.0, 1.5))
     sent = rig.send(c.Hover(2.0, 0.0, 0.0, 5.0))
     assert sent.vx < 1.01
     assert sent.height == pytest.approx(1.95, abs=0.01)
+
+
+def test_hover_does_not_send_a_vehicle_up_faster_than_it_can_be_stopped():
+    rig = Rig(where=(0.0, 0.0, 0.6))
+    lead = rig.gate.limits.setpoint_lead
+    assert rig.send(c.Hover(0.0, 0.0, 0.0, 1.8)).height == pytest.approx(0.6 + lead)
+    pid = Limits(vehicle=FlightModel(controller=PID, follows_velocity=False))
+    command = c.Hover(0.0, 0.0, 0.0, 1.8)
+    assert Rig(where=(0.0, 0.0, 0.6), limits=pid).send(command) is command
+
+
+@pytest.mark.parametrize(
+    "way", [(0.2, 0.0, 0.0), (-0.08, -0.573, 0.0), (0.1, 0.0, 0.5), (0.35, 0.0, -0.7)]
+)
+def test_a_go_to_gets_the_time_that_motors_and_attitude_need(way):
+    """What they have not, tips the vehicle over: as short as speed and acceleration allow, all of
+    these do."""
+    plan = to_rest(Motion((0.0, 0.0, 1.0)), tuple(np.add(way, (0, 0, 1.0))), 1.0)
+    hasty = math.sqrt(7.5132 * math.hypot(*way) / Limits().setpoint_acceleration)
+    sent = Rig().send(c.GoTo(way, 0.0, hasty, relative=True))
+    assert sent.position == way
+    assert 1.1 * hasty < sent.duration < 3.0 * hasty
+    vehicle = Limits().vehicle
+    assert overtaxed(plan, vehicle, 24, 0.1) is None
+    fast = to_rest(Motion((0.0, 0.0, 1.0)), tuple(np.add(way, (0, 0, 1.0))), hasty)
+    assert overtaxed(fast, vehicle, 24, 0.1) is not None
+    # One that brakes hard as it begins may go on with that.
+    assert Rig(where=(0.0, 0.0, 1.0), velocity=(2.0, 0.0, 0.0)).send(c.GoTo((1.0, 0, 1), 0.0, 1.5))
+
+
+def test_a_trajectory_may_ask_for_what_the_vehicle_has():
+    def pieces(way: tuple[float, float, float], duration: float) -> np.ndarray:
+        row = np.zeros((1, 33))
+        row[0, 0] = duration
+        row[0, 1:25] = to_rest(Motion((0, 0, 0)), way, duration).coefficients.ravel()
+        return row
+
+    rig = Rig()
+    rig.send(c.Takeoff(1.0, 2.0))
+    rig.wait(3.0)
+    rig.send(c.UploadTrajectory(1, 0, pieces((0.2, 0.0, 0.0), 0.4)))
+    rig.send(c.UploadTrajectory(2, 4, pieces((0.1, 0.0, -0.6), 0.7)))
+    rig.send(c.UploadTrajectory(3, 8, pieces((0.0, 0.0, 0.6), 0.7)))
+    assert "rad/s" in rig.refused(c.StartTrajectory(1, 1.0, False, True))
+    assert "thrust reaches" in rig.refused(c.StartTrajectory(2, 1.0, False, True))
+    assert "thrust reaches" in rig.refused(c.StartTrajectory(3, 1.0, False, True))
+    sinks = to_rest(Motion((0.0, 0.0, 1.0)), (0.1, 0.0, 0.4), 0.75)
+    strong = FlightModel(lift=2.5)
+    assert "lift falls" in (overtaxed(sinks, strong, 24, 0.1) or "")
+    assert overtaxed(sinks, strong, 24, 0.1, (0.0, 0.0, -9.0)) is None
+    for ident in (1, 2, 3):
+        rig.send(c.StartTrajectory(ident, 2.0, False, True))
 
 
 def test_setpoints_are_held_back_that_would_lead_out_if_they_were_the_last():

@@ -8,9 +8,10 @@ import pytest
 
 from crazyarena.crazyswarm_compat.commands import FullState
 from crazyarena.safety.events import Action
+from crazyarena.safety.flight_model import GRAVITY
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.pilot import SafePilot
-from tests.safety.scenes import fence, flying
+from tests.safety.scenes import fence, flying, tilted
 
 
 def first_setpoint(pilot: SafePilot, time: float, **changes: object) -> FullState:
@@ -129,3 +130,57 @@ def test_the_integral_is_kept_within_what_the_firmware_keeps():
         pilot.see(flying(0.01 * step, streamed=(0.0, -1.0, 1.0)))
     sent = first_setpoint(pilot, 10.0)
     assert sent.acceleration[1] == pytest.approx(2.0 * limits.vehicle.winding, rel=0.01)
+
+
+def asked(told: FullState, height: float, climb: float) -> float:
+    """m/s2 upwards that Mellinger's controller makes of a setpoint."""
+    model = Limits().vehicle
+    (_, _, z), (_, _, v), (_, _, a) = told.position, told.velocity, told.acceleration
+    push = model.feed[2] * a + model.damping[2] * (v - climb)
+    return float(push + model.stiffness[2] * (z - height))
+
+
+@pytest.mark.parametrize("busy", [{"rates": (-5.0, 0.0, 0.0)}, {"quaternion": tilted(0.6)}])
+def test_a_hold_leaves_a_vehicle_that_tips_what_it_needs_to_be_upright(busy):
+    """Sinking fast, it would be stopped with all thrust there is, and go over."""
+    moving = {"velocity": (0.0, 0.0, -1.5), "position": (0.0, 0.0, 0.5)}
+    spare = GRAVITY * (Limits().vehicle.lift - 1.0)
+
+    def most(**changes: object) -> float:
+        pilot = SafePilot(fence(), Limits())
+        pilot.see(flying(0.0, **moving))
+        return max(
+            asked(first_setpoint(pilot, 0.01 * k, **moving, **changes), 0.5, -1.5)
+            for k in range(1, 40)
+        )
+
+    assert most(**busy) <= 1.51 * spare
+    assert most() > 2.0 * spare
+
+
+def test_a_hold_keeps_the_rotors_turning():
+    """A climb to the ceiling: what would be too far up is not braked by doing without lift."""
+    pilot = SafePilot(fence(), Limits())
+    pilot.see(flying(0.0, position=(0.0, 0.0, 1.1), velocity=(0.0, 0.0, 2.6)))
+    height, climb = 1.1, 2.6
+    for k in range(1, 60):
+        where = {"position": (0.0, 0.0, height), "velocity": (0.0, 0.0, climb)}
+        told = first_setpoint(pilot, 0.01 * k, **where)
+        push = asked(told, height, climb)
+        assert push >= -0.61 * GRAVITY
+        push = min(push, 0.53 * GRAVITY)
+        height, climb = height + 0.01 * climb, climb + 0.01 * push
+    assert height < 2.0
+    assert abs(climb) < 0.5
+
+
+def test_a_climb_far_below_the_ceiling_is_braked_gently_near_it_harder():
+    def braking(height: float) -> float:
+        pilot = SafePilot(fence(), Limits())
+        moving = {"position": (0.0, 0.0, height), "velocity": (0.0, 0.0, 1.8)}
+        pilot.see(flying(0.0, **moving))
+        return -float(first_setpoint(pilot, 0.01, **moving).acceleration[2])
+
+    assert braking(0.5) == pytest.approx(2.5)
+    assert 2.6 < braking(1.3) < 5.0
+    assert braking(1.9) == pytest.approx(0.6 * GRAVITY)

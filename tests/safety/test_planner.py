@@ -100,3 +100,17 @@ def test_what_it_follows():
     planner.stream()
     assert planner.flown is Flown.STREAM
     assert planner.origin(3.0, seen) == seen
+
+
+@given(st.lists(st.floats(-2.0, 2.0), min_size=9, max_size=9), st.floats(0.3, 4.0))
+def test_jerk_is_how_the_acceleration_changes(numbers, duration):
+    begin = Motion(tuple(numbers[:3]), tuple(numbers[3:6]))
+    plan = to_rest(begin, tuple(numbers[6:]), duration)
+    jerks = plan.jerks(9, 10.0)
+    assert jerks.shape == (9, 3)
+    h = 1e-5 * duration
+    for time, jerk in zip(np.linspace(0.0, duration, 9)[1:-1], jerks[1:-1], strict=True):
+        before, after = (np.array(plan.at(time + s * h).acceleration) for s in (-1, 1))
+        np.testing.assert_allclose(
+            jerk, (after - before) / (2 * h), atol=1e-3 * np.abs(jerks).max() + 1e-6
+        )

@@ -35,11 +35,34 @@ def test_without_the_gate_something_gets_out(monkeypatch):
     assert fly(replace(script, options="")).excursion < ALLOWED
 
 
-@pytest.mark.parametrize("seed", [16, 131, 227])
+# The last: a go-to that tips it over, and a climb that the watchdog ends below the ceiling.
+@pytest.mark.parametrize("seed", [16, 131, 227, 80298])
 def test_a_flight_stays_inside(seed):
     outcome = fly(draw_script(seed))
     assert not outcome.is_bad(ALLOWED), outcome.ended
     assert outcome.passed > 0
+
+
+@pytest.mark.parametrize(
+    "way", [(0.2, 0.0, 0.0), (0.45, 0.37, 0.0), (0.1, 0.0, 0.5), (0.27, 0.22, -0.7)]
+)
+def test_a_hasty_go_to_does_not_tip_a_vehicle_over(way):
+    calls = (Call("takeoff", (1.0, 2.0), 2.5), Call("relative", (way, 0.0, 0.0), 2.0))
+    outcome = fly(Script(0, "box", "clamp", 2, 2, "", calls))
+    assert (outcome.ended, outcome.passed) == ("", 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [80188, 50010])
+@pytest.mark.parametrize("wait", [0.0, 0.05, 0.08, 0.11])
+def test_sharp_turns_near_a_notch_stay_inside(seed, wait):
+    script = draw_script(seed)
+    flown = [c for c in script.calls if c.name in ("takeoff", "goTo", "fullState", "relative")]
+    if seed == 50010:
+        flown = [c for c in flown if c.name in ("fullState", "relative")]
+        flown.append(Call("cmdHover", (0.0, 0.0, 0.0, 0.25), 0.078))
+    calls = tuple(replace(c, wait=wait) if c.name == "relative" else c for c in flown)
+    assert not fly(replace(script, calls=calls)).is_bad(ALLOWED)
 
 
 def test_avoidance_on_board_does_not_throw_about_what_the_watchdog_lands():
