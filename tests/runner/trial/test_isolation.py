@@ -132,7 +132,7 @@ def test_honest_flights_are_borne_out(tmp_path):
     stream = io.StringIO()
     run = DryRun(
         example_racer(),
-        "level2",
+        "level1",
         [],
         2,
         out=tmp_path / "out",
@@ -149,7 +149,7 @@ def test_honest_flights_are_borne_out(tmp_path):
         claim = {"file": str(file), "completed": True, "gates_passed": 4}
         claim |= {"collisions": 0, "violations": 0}
         claim[name] = claim[name] + 1 if index else False
-        told = second_look.judged_again(LEVEL2, file)
+        told = second_look.judged_again(load_level("level1"), file)
         assert [k for k in told if told[k] != claim[k]] == [name]
 
 
