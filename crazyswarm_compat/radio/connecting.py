@@ -94,8 +94,8 @@ def open_connection(
             lines = why.strip().splitlines() or ["unknown reason"]
             if "Connection refused" in lines[-1]:
                 raise NobodyThere(
-                    f"{where}: cannot connect: connection refused, nobody listens there; is the virtual "
-                    "vehicle running (crazyarena virtual-cf)?"
+                    f"{where}: cannot connect: connection refused, nobody listens there; is the "
+                    "virtual vehicle running (crazyarena virtual-cf)?"
                 )
             raise BackendError(
                 f"{where}: cannot connect: {lines[-1].strip()}; is the vehicle switched on, and "
