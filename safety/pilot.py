@@ -34,6 +34,9 @@ _AGILITY = 25.0  # m/s2, more than a vehicle has
 _BRIDGE = 0.2  # s without a position, after which any velocity is believed again
 _FAR = 1.2  # m, more than the gate lets a setpoint lead
 _MOST_WOUND = 2.0  # m s, as the firmware bounds it
+# s: damping over stiffness of Mellinger's attitude loop about the vertical, by which a heading may
+# be ahead of one that spins for its motors to do nothing at first; rad.
+_SPIN, _MOST_SPUN = 0.2, 2.0
 _STOP_TIME = 0.5  # s for which the stop is repeated
 
 
@@ -172,7 +175,10 @@ class SafePilot:
 
     def _begin(self, obs: Observation) -> None:
         self._begun = self._moved = obs.time
-        self._yaw = obs.yaw if math.isfinite(obs.yaw) else 0.0
+        # One that spins is not stopped at once: that takes two of its four motors.
+        lead = min(max(_SPIN * obs.rates[2], -_MOST_SPUN), _MOST_SPUN)
+        yaw = math.remainder(obs.yaw + lead, math.tau)
+        self._yaw = yaw if math.isfinite(yaw) else 0.0
         position = obs.flown_from(self._limits.disagreement)
         if position is None:
             # Nobody knows where it is: level it at the setpoint it had, and land from there.
@@ -183,8 +189,10 @@ class SafePilot:
         if obs.pose_age > self._limits.pose_hold:
             braking = min(braking, _BLIND_BRAKING)
         stop = math.hypot(*velocity) / braking
+        # One that falls drifts on no longer than it has to.
+        aside = min(stop, 2.0 * math.hypot(*velocity[:2]) / braking)
         # A climb is braked gently: rotors that stand still cannot steer.
-        times = (stop, stop, max(stop, self._level_off(position[2], velocity[2])))
+        times = (aside, aside, max(stop, self._level_off(position[2], velocity[2])))
         self._brake = (position, velocity, times)
         x, y, z = (p + 0.5 * v * t for p, v, t in zip(position, velocity, times, strict=True))
         rest = (x, y, z)

@@ -65,6 +65,12 @@ def test_sharp_turns_near_a_notch_stay_inside(seed, wait):
     assert not fly(replace(script, calls=calls)).is_bad(ALLOWED)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [90418, 90603])
+def test_what_the_watchdog_takes_falling_or_spinning_stays_inside(seed):
+    assert not fly(draw_script(seed)).is_bad(ALLOWED)
+
+
 def test_avoidance_on_board_does_not_throw_about_what_the_watchdog_lands():
     box = ([-2.3, -2.0, 1.11], [1.6, 3.1, 2.5])
     calls = (
