@@ -13,7 +13,7 @@ dry-run: $(VENV)/run.stamp
 
 # Set up and run the tests. More: make test ARGS="-k vector"
 test: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest -n 3 $(ARGS)
+	$(BIN)/python -m pytest -n 4 $(ARGS)
 
 slow: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest -m slow $(ARGS)

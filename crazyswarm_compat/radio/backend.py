@@ -22,7 +22,7 @@ from crazyarena.crazyswarm_compat.radio import packets as pk
 from crazyarena.crazyswarm_compat.radio.air_sharing import AirSharing
 from crazyarena.crazyswarm_compat.radio.budget import Budget
 from crazyarena.crazyswarm_compat.radio.client import init_drivers
-from crazyarena.crazyswarm_compat.radio.connecting import wrong_uri
+from crazyarena.crazyswarm_compat.radio.connecting import patiently, wrong_uri
 from crazyarena.crazyswarm_compat.radio.events import EventLog, LinkEvent
 from crazyarena.crazyswarm_compat.radio.link import VehicleLink
 from crazyarena.crazyswarm_compat.radio.options import RadioOptions
@@ -107,7 +107,11 @@ class RadioBackend:
 
         def connect(link: VehicleLink) -> None:
             try:
-                link.connect(max(1.0, deadline - self.clock.now()))
+                patiently(
+                    lambda: link.connect(max(1.0, deadline - self.clock.now())),
+                    self.clock,
+                    deadline - self.clock.now(),
+                )
             except BackendError as error:
                 failures.append(str(error))
 

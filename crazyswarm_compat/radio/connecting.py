@@ -11,6 +11,7 @@ from crazyarena.crazyswarm_compat.radio.client import Client
 from crazyarena.errors import BackendError
 
 _LOOK = 0.5  # s, between looks at the progress
+_STARTING = 10.0  # s in which a program that was started just before may open its port
 _UDP = re.compile(r"udp://[^/:\s]+:(\d+)/?")
 # Dongle by number or serial, channel, rate, address.
 _RADIO = re.compile(r"radio://[0-9A-Fa-f]+(/\d+(/(250K|1M|2M)(/[0-9A-Fa-f]{1,10})?)?)?(\?.*)?")
@@ -35,6 +36,23 @@ def wrong_uri(uri: str) -> str | None:
     return None
 
 
+class NobodyThere(BackendError):
+    """The computer is there, but no program listens on the port."""
+
+
+def patiently(connect: Callable[[], None], clock: Clock, timeout: float) -> None:
+    """``connect()``, again while no program listens on the port, but not for longer than
+    ``timeout`` s: a virtual vehicle that was started on the line before needs its time."""
+    deadline = clock.now() + min(_STARTING, timeout)
+    while True:
+        try:
+            return connect()
+        except NobodyThere:
+            if clock.now() > deadline:
+                raise
+        clock.sleep_until(clock.now() + _LOOK)
+
+
 def open_connection(
     client: Client,
     uri: str,
@@ -56,6 +74,8 @@ def open_connection(
 
     Raises
     ------
+    NobodyThere
+        no program listens on the UDP port.
     BackendError
         naming the vehicle, its link and what to look at.
     """
@@ -72,6 +92,11 @@ def open_connection(
         if why is not None:
             # A driver's message may end in a traceback, whose last line says what it was.
             lines = why.strip().splitlines() or ["unknown reason"]
+            if "Connection refused" in lines[-1]:
+                raise NobodyThere(
+                    f"{where}: cannot connect: connection refused, nobody listens there; is the "
+                    "virtual vehicle running (crazyarena virtual-cf)?"
+                )
             raise BackendError(
                 f"{where}: cannot connect: {lines[-1].strip()}; is the vehicle switched on, and "
                 "the radio plugged in?"

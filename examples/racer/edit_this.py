@@ -26,7 +26,7 @@ JOIN_TIME = 1.0  # s, to get from the true start onto the path
 REROUTE_LIMIT = 5.0  # m/s2, for the detour to a gate that is not where it was said to be
 INSIDE = 0.15  # m from the walls, where to come down if the link is lost, and to wait at the goal
 # m for each rad/s of the last body rates: a vehicle without a link keeps a tilt against them.
-CARRIED = 0.9
+CARRIED = 1.0
 
 
 class Controller:

@@ -91,6 +91,7 @@ def test_a_guarded_script_is_shown_in_its_arena(views):
     assert view.watched.state().facts["control"] is True
     assert view.watched.state().facts["ladder"] == "NONE"
     swarm.allcfs.guard.finish()
+    swarm.allcfs.close()
 
 
 def test_a_fleet_that_flies_by_itself_is_not_held_up():

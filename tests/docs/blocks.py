@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,8 +45,10 @@ def blocks(page: Path) -> Iterator[Block]:
 def shell(text: str, folder: Path, timeout: float = 500.0) -> subprocess.CompletedProcess[str]:
     """Run a block as it stands; ``crazyarena``, ``python`` and ``pip`` are those of the tests."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {**os.environ, "PATH": path, "CRAZYARENA_RUNTIME_DIR": str(folder)}
-    return subprocess.run(
-        ["bash", "-e", "-u", "-o", "pipefail", "-c", text], cwd=folder, env=environment,
-        stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout, check=False,
-    )  # fmt: skip
+    # Of a name of its own: sockets are made in it, and their paths end at 107 bytes.
+    with tempfile.TemporaryDirectory(prefix="blk") as runtime:
+        return subprocess.run(
+            ["bash", "-e", "-u", "-o", "pipefail", "-c", text], cwd=folder, timeout=timeout,
+            env={**os.environ, "PATH": path, "CRAZYARENA_RUNTIME_DIR": runtime},
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
+        )  # fmt: skip

@@ -99,7 +99,11 @@ def test_every_block_runs(tmp_path, page):
             shutil.copytree(ROOT / block.options["in"], folder, dirs_exist_ok=True)
         done = shell(f"set -m\n{told}", folder)
         report = f"{block}\n{told}\n{done.stdout}\n{done.stderr}"
-        assert done.returncode == int(block.options.get("exit", 0)), report
+        if block.options.get("exit") == "drawn":  # by luck: the world is a secret one
+            assert done.returncode in (0, 1), report
+            assert "Results in" in done.stdout, report
+        else:
+            assert done.returncode == int(block.options.get("exit", 0)), report
 
 
 def test_what_is_made_has_a_target():

@@ -23,7 +23,7 @@ def test_every_block_does_what_the_page_says(tmp_path):
         report = f"{block}\n{block.text}\n{done.stdout}\n{done.stderr}"
         assert done.returncode == int(block.options.get("exit", 0)), report
         flown += 1
-    assert flown == 8
+    assert flown == 9
     assert len(list((tmp_path / "first" / "tables").glob("*.csv"))) >= 4
     level3 = json.loads((tmp_path / "level3" / "result.json").read_text())
     assert [e["clean"] for e in level3["episodes"]] == [True] * 20

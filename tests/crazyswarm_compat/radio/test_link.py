@@ -71,6 +71,21 @@ class TestConnecting:
         assert "cf2" in message
         assert "refused" in message
 
+    def test_a_vehicle_that_opens_its_port_a_little_later_is_waited_for(self, toc_cache):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        started = []
+        later = threading.Timer(0.7, lambda: started.append(Hangar(1, port)))
+        later.start()
+        try:
+            options = RadioOptions(cache=toc_cache)
+            RadioBackend(fleet_of(f"udp://127.0.0.1:{port}"), WallClock(), options).close()
+        finally:
+            later.join()
+            for hangar in started:
+                hangar.close()
+
     def test_the_table_of_contents_is_downloaded_once(self, tmp_path):
         hangar = Hangar(2, 0)
         try:
