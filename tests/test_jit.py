@@ -31,7 +31,12 @@ def run(tmp_path):
         (folder / "some_kernels.py").write_text(SOURCE.format(factor=factor))
         done = subprocess.run(
             [sys.executable, "-c", RUN, str(folder)],
-            env={**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")},
+            # Python tells its own compiled files by size and second.
+            env={
+                **os.environ,
+                "XDG_CACHE_HOME": str(tmp_path / "cache"),
+                "PYTHONDONTWRITEBYTECODE": "1",
+            },
             capture_output=True,
             text=True,
             check=True,

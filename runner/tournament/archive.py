@@ -15,6 +15,7 @@ from crazyarena.runner.contestant.submission import MOST_BYTES, submission_files
 from crazyarena.runner.tournament.entries import Entry
 
 _MODE = 0o644
+_FILTERS = hasattr(tarfile, "data_filter")  # not in Python up to 3.11.3, such as Debian 12's
 
 
 def pack(entry: Entry, folder: Path) -> tuple[str, str]:
@@ -123,10 +124,22 @@ def unpack(archive: Path | bytes, sha: str, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     new = Path(tempfile.mkdtemp(dir=folder, prefix=".unpacking-"))
     with tarfile.open(fileobj=io.BytesIO(data)) as stream:
-        stream.extractall(new, filter="data")
+        _extract(stream, new)
     try:
         new.rename(target)
     except OSError:  # another process was first
         if not target.is_dir():
             raise
     return target
+
+
+def _extract(stream: tarfile.TarFile, folder: Path) -> None:
+    """Folders and files, nothing else and nowhere else: what :func:`pack` puts in."""
+    if _FILTERS:
+        stream.extractall(folder, filter="data")
+        return
+    for member in stream.getmembers():
+        place = Path(member.name)
+        if place.is_absolute() or ".." in place.parts or not (member.isfile() or member.isdir()):
+            raise InputError(f"archive: {member.name}: not a file or folder below the submission")
+        stream.extract(member, folder, set_attrs=False)

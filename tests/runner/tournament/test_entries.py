@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import os
 import tarfile
 
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 
 from crazyarena.errors import InputError
 from crazyarena.runner.contestant.submission import submission_hash
+from crazyarena.runner.tournament import archive
 from crazyarena.runner.tournament.archive import pack, unpack
 from crazyarena.runner.tournament.entries import IROS, LSY, commit_of, find_entries
 
@@ -178,7 +181,9 @@ def test_a_checkout_of_lsy_flies_what_its_level_names(tmp_path):
 # Archives
 
 
-def test_the_same_files_make_the_same_archive(tmp_path):
+@pytest.mark.parametrize("filters", [archive._FILTERS, False])
+def test_the_same_files_make_the_same_archive(tmp_path, monkeypatch, filters):
+    monkeypatch.setattr(archive, "_FILTERS", filters)
     for place in ("one", "two"):
         folder = submission(tmp_path / place / "team")
         (folder / "data").mkdir()
@@ -204,6 +209,20 @@ def test_other_files_make_another(tmp_path_factory, first, second):
         (folder / "data.bin").write_bytes(data)
         digests.append(pack(find_entries(folder)[0], tmp)[0])
     assert (digests[0] == digests[1]) == (first == second)
+
+
+@pytest.mark.parametrize("name", ["../out.txt", "/out.txt", "link"])
+def test_an_old_python_extracts_nothing_elsewhere(tmp_path, monkeypatch, name):
+    monkeypatch.setattr(archive, "_FILTERS", False)
+    made = io.BytesIO()
+    with tarfile.open(fileobj=made, mode="w") as stream:
+        member = tarfile.TarInfo(name)
+        if name == "link":
+            member.type, member.linkname = tarfile.SYMTYPE, "/etc"
+        stream.addfile(member, io.BytesIO())
+    data = made.getvalue()
+    with pytest.raises(InputError, match="not a file or folder below the submission"):
+        unpack(data, hashlib.sha256(data).hexdigest(), tmp_path / "kept")
 
 
 def test_nothing_of_others_comes_along(tmp_path):
