@@ -38,10 +38,13 @@ class PartFile:
         self.path = path
         self.trouble: OSError | None = None
         self._refused: list[memoryview] = []
-        # Under another name first: a process killed in between leaves no recording that is none.
-        new = path.with_name(f".{path.name}.new")
-        new.write_bytes(beginning)
-        new.replace(path)
+        if path.exists():
+            path.write_bytes(beginning)
+        else:
+            # A process killed between making it and writing it must leave no recording that is none.
+            new = path.with_name(f".{path.name}.new")
+            new.write_bytes(beginning)
+            new.replace(path)
         self._stream = open(path, "ab", buffering=0)  # noqa: SIM115 - closed by close()
         self._queue: queue.SimpleQueue[tuple[bytes, bool] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
