@@ -41,7 +41,7 @@ class PartFile:
         if path.exists():
             path.write_bytes(beginning)
         else:
-            # A process killed between making it and writing it must leave no recording that is none.
+            # A process killed in between must leave no recording that is none.
             new = path.with_name(f".{path.name}.new")
             new.write_bytes(beginning)
             new.replace(path)
