@@ -10,7 +10,9 @@ import threading
 from collections.abc import Iterable
 from pathlib import Path
 
+from crazyarena.errors import StorageError
 from crazyarena.runner.timing.realtime import SERVING, is_raised, raise_priority
+from crazyarena.whole_file import whole_file
 
 _PATIENCE = 30.0  # s for the disk to take the rest
 
@@ -38,13 +40,12 @@ class PartFile:
         self.path = path
         self.trouble: OSError | None = None
         self._refused: list[memoryview] = []
-        if path.exists():
-            path.write_bytes(beginning)
-        else:
-            # A process killed in between must leave no recording that is none.
-            new = path.with_name(f".{path.name}.new")
-            new.write_bytes(beginning)
-            new.replace(path)
+        try:
+            # Killed in between, a process must leave no recording that is none.
+            with whole_file(path, sync=False) as stream:
+                stream.write(beginning)
+        except StorageError as error:
+            raise (error.__cause__ or error) from None
         self._stream = open(path, "ab", buffering=0)  # noqa: SIM115 - closed by close()
         self._queue: queue.SimpleQueue[tuple[bytes, bool] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
