@@ -26,7 +26,7 @@ from scipy.linalg import expm
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.flight_model import GRAVITY, FlightModel
 from crazyarena.safety.limits import Limits
-from crazyarena.safety.observation import Point, as_point
+from crazyarena.safety.observation import Point, as_point, upright_of, yaw_of
 from crazyarena.types import VehicleState
 
 Pair = tuple[float, float]
@@ -61,8 +61,8 @@ class Moving:
     def of(cls, state: VehicleState, most: float, drag: float) -> Moving:
         """As a state tells it; ``most`` m/s2 is what a vehicle can be pushed with; ``drag`` 1/s."""
         x, y, z, w = (float(value) for value in state.quaternion)
-        up = max(1.0 - 2.0 * (x * x + y * y), 0.3)
-        heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        up = max(upright_of(state.quaternion), 0.3)
+        heading = yaw_of(state.quaternion)
         velocity = as_point(state.velocity)
         push = (
             2.0 * GRAVITY * (x * z + w * y) / up - drag * velocity[0],
@@ -310,8 +310,11 @@ class LinkLoss:
 
         if not (self._model.lean and (omega[0] or omega[1])):
             return omega
-        asked, none = excess(1.0), excess(0.0)
-        if asked <= self._margin or asked <= none:
+        asked = excess(1.0)
+        if asked <= self._margin:  # as of nearly every setpoint
+            return omega
+        none = excess(0.0)
+        if asked <= none:
             return omega
         x, y, z = omega
         share = 0.0

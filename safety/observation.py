@@ -14,6 +14,18 @@ but no velocity is behind by its speed times that."""
 NOWHERE: Point = (math.nan, math.nan, math.nan)
 
 
+def yaw_of(quaternion: Any) -> float:
+    """Heading, rad, of an attitude x, y, z, w."""
+    x, y, z, w = (float(value) for value in quaternion)
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def upright_of(quaternion: Any) -> float:
+    """Cosine of the tilt of an attitude x, y, z, w."""
+    x, y, _, _ = (float(value) for value in quaternion)
+    return 1.0 - 2.0 * (x * x + y * y)
+
+
 def as_point(values: Any) -> Point:
     """Three numbers, of an array or any other sequence, as plain floats."""
     x, y, z = values
@@ -99,14 +111,12 @@ class Observation:
     @property
     def upright(self) -> float:
         """Cosine of the tilt."""
-        x, y, _, _ = self.quaternion
-        return 1.0 - 2.0 * (x * x + y * y)
+        return upright_of(self.quaternion)
 
     @property
     def yaw(self) -> float:
         """rad."""
-        x, y, z, w = self.quaternion
-        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return yaw_of(self.quaternion)
 
     def horizontal_acceleration(self, limit: float) -> tuple[float, float]:
         """What the attitude makes of gravity, m/s2, if the height is kept; at most ``limit``."""

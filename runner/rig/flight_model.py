@@ -38,9 +38,7 @@ _FULL_SCALE = 65535.0
 # What height and stiffness under Mellinger's controller depend on.
 _READ = tuple(
     f"ctrlMel.{name}"
-    for name in (
-        *("mass", "massThrust", "kp_z", "kd_z", "kp_xy", "kd_xy", "ki_xy", "kR_xy", "kw_xy"),
-    )
+    for name in ["mass", "massThrust", "kp_z", "kd_z", "kp_xy", "kd_xy", "ki_xy", "kR_xy", "kw_xy"]
 )
 _THRUST_SCALE = 1000.0  # of the PID's vertical loop
 

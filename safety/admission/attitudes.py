@@ -12,9 +12,9 @@ from dataclasses import replace
 
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.safety.admission.memory import VehicleMemory
-from crazyarena.safety.admission.room import OUT_IF_LOST, Room, yaw_of
+from crazyarena.safety.admission.room import OUT_IF_LOST, Room
 from crazyarena.safety.attitude_path import FULL, GRAVITY, push, tilt_of
-from crazyarena.safety.observation import as_point
+from crazyarena.safety.observation import as_point, yaw_of
 
 _STANDS = 0.12  # m, below which a vehicle may be let down however it comes
 _GROUND = 0.05  # m

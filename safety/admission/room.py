@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import InputError
@@ -15,7 +14,7 @@ from crazyarena.safety.attitude_path import AttitudeLoss
 from crazyarena.safety.fence import Fence
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.link_loss import LinkLoss, Moving, UsualSpeed, largest_share
-from crazyarena.safety.observation import LAG, Point, as_point
+from crazyarena.safety.observation import LAG, Point, as_point, upright_of, yaw_of
 from crazyarena.safety.planner import Motion
 from crazyarena.types import VehicleState
 
@@ -248,9 +247,8 @@ class Room:
         state = self.state(vehicle)
         if state is None:
             return None
-        x, y, _, _ = (float(value) for value in state.quaternion)
         rate = steerable.tipping(as_point(state.angular_velocity))
-        return state if steerable.is_busy(1.0 - 2.0 * (x * x + y * y), rate) else None
+        return state if steerable.is_busy(upright_of(state.quaternion), rate) else None
 
     def _in_sight(self, where: Point, point: Point, reasons: list[str]) -> Point:
         """``point``, or the last place before fence or zone on the straight way to it."""
@@ -292,8 +290,3 @@ def towards(origin: Point, point: Point, limit: float, what: str, reasons: list[
 
 def text(point: Point) -> str:
     return "[" + ", ".join(f"{value:.2f}" for value in point) + "]"
-
-
-def yaw_of(q: Any) -> float:
-    x, y, z, w = (float(value) for value in q)
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

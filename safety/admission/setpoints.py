@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.safety.admission.memory import VehicleMemory
-from crazyarena.safety.admission.room import OUT_IF_LOST, Room, towards, yaw_of
-from crazyarena.safety.observation import as_point
+from crazyarena.safety.admission.room import OUT_IF_LOST, Room, towards
+from crazyarena.safety.observation import as_point, yaw_of
 
 
 def full_state(
