@@ -105,8 +105,8 @@ def _describe(root: Node, error: Any) -> str:
             node = members[str(rest[0])]
         elif isinstance(members, list) and isinstance(rest[0], int) and rest[0] < len(members):
             node = members[rest[0]]
-        else:
-            break
+        elif not (isinstance(members, dict) and rest[0] == 0):
+            break  # else: a table that stands for a list of one
         rest = rest[1:]
     if not isinstance(node.value, dict | list):
         rest = []  # one number that stands for several: no member of it was written

@@ -4,7 +4,8 @@ At a reset the key of the generator is split in two, for the drone and for the t
 inertia (nine entries of the matrix, row by row), mass, position, attitude. Track: the whole layout
 if ``randomize`` asks for it (see :mod:`.layout`), then gate positions, gate attitudes, obstacle
 positions, gate by gate. Then at every step of the environment one array for the command, and at
-every physics tick in it one force. What a level leaves out draws nothing.
+every physics tick in it one force. What a level leaves out draws nothing. In a race every array
+of the drone, of commands and of forces is drawn for all drones at once, drone by drone.
 
 ``rng: pcg64`` takes all of that in this order from one stream. ``rng: threefry`` splits keys as
 the original does (a split off the simulator's key before every array of the drone, of commands
@@ -52,10 +53,18 @@ class LsyDraw:
     nominal_gates: Array
     nominal_obstacles: Array
     _noise: _Noise = field(repr=False)
+    _drone: int = 0
+    _steps: int = 0
 
     def step_noise(self) -> tuple[Array, Array]:
-        """Disturbances of the next step: of the command (k,), and N of each tick (ticks, 3)."""
-        return self._noise.step()
+        """Disturbances of the next step: of the command (k,), and N of each tick (ticks, 3).
+
+        In a race they are drawn for all drones by whoever is the first to ask; one that has not
+        asked for a step is out of the race.
+        """
+        self._steps += 1
+        action, force = self._noise.step(self._steps)
+        return action[self._drone], force[:, self._drone]
 
 
 def fresh_seed() -> int:
@@ -89,20 +98,35 @@ class LsyRandom:
 
     def reset(self) -> LsyDraw:
         """Begin the next episode; the previous :class:`LsyDraw` is over."""
+        return self.race()[0]
+
+    def race(self) -> list[LsyDraw]:
+        """Begin the next episode of a race: a draw a drone, with the same track in all of them."""
         level, source = self._level, self._source
         if self._noise is not None:
             self._key = self._noise.key
         key, track_key = source.split(self._key, 2)
-        random = level.env.randomizations
-        shapes = {"drone_inertia": (1, 1, 3, 3), "drone_mass": (1, 1, 1)}
+        random, drones = level.env.randomizations, level.drones
+        shapes = {"drone_inertia": (1, drones, 3, 3), "drone_mass": (1, drones, 1)}
         offsets: dict[str, Array] = {}
         for name in DRAWN_DRONE:
             spec = getattr(random, name)
             if spec is not None:
                 key, own = source.split(key, 2)
-                offsets[name] = draw(source, own, spec, shapes.get(name, (1, 1, 3)))[0, 0]
-        nominal_gates, nominal_obstacles, gates, obstacles = self._track(track_key)
-        start = level.env.track.drones[0]
+                offsets[name] = draw(source, own, spec, shapes.get(name, (1, drones, 3)))[0]
+        track = self._track(track_key)
+        self._noise = _Noise(source, key, level)
+        return [
+            self._drone(drone, {name: each[drone] for name, each in offsets.items()}, track)
+            for drone in range(drones)
+        ]
+
+    def _drone(
+        self, drone: int, offsets: dict[str, Array], track: tuple[Array, Array, Array, Array]
+    ) -> LsyDraw:
+        level, noise = self._level, self._noise
+        assert noise is not None
+        start = level.env.track.drones[drone]
         rpy = np.array(start.rpy) + offsets.get("drone_rpy", 0.0)
         state = np.concatenate(
             [
@@ -119,9 +143,9 @@ class LsyRandom:
                 f"level {level.name}: env.randomizations: drew a mass of {mass:.4g} kg with an "
                 "inertia that no body has; make the ranges of drone_mass and drone_inertia smaller"
             )
-        self._noise = _Noise(source, key, level)
+        nominal_gates, nominal_obstacles, gates, obstacles = track
         return LsyDraw(
-            state, mass, inertia, gates, obstacles, nominal_gates, nominal_obstacles, self._noise
+            state, mass, inertia, gates, obstacles, nominal_gates, nominal_obstacles, noise, drone
         )
 
     def _track(self, key: Any) -> tuple[Array, Array, Array, Array]:
@@ -153,11 +177,21 @@ class _Noise:
         self._level = level
         self._action = level.env.disturbances.action
         self._force = level.env.disturbances.dynamics
+        self._steps = 0
+        self._drawn = np.empty(0), np.empty(0)
         self.key = key
 
-    def step(self) -> tuple[Array, Array]:
-        width, ticks = self._level.command_size, self._level.ticks
-        action, force = np.zeros(width), np.zeros((ticks, 3))
+    def step(self, number: int) -> tuple[Array, Array]:
+        """Those of step ``number``, from 1, one after the other: (drones, k) for the commands,
+        (ticks, drones, 3) N."""
+        if number > self._steps:
+            self._steps = number
+            self._drawn = self._draw()
+        return self._drawn
+
+    def _draw(self) -> tuple[Array, Array]:
+        width, ticks, drones = self._level.command_size, self._level.ticks, self._level.drones
+        action, force = np.zeros((drones, width)), np.zeros((ticks, drones, 3))
         if self._action is not None:
             action = self._rows(self._action, 1, width)[0]
         if self._force is not None:
@@ -165,6 +199,6 @@ class _Noise:
         return action, force
 
     def _rows(self, spec: Spec, count: int, width: int) -> Array:
-        normal = spec.fn == "normal"
-        self.key, raw = self._source.rows(self.key, count, width, normal=normal)
-        return scaled(self._source, spec, raw.reshape(count, 1, 1, width)).reshape(count, width)
+        normal, drones = spec.fn == "normal", self._level.drones
+        self.key, raw = self._source.rows(self.key, count, drones * width, normal=normal)
+        return scaled(self._source, spec, raw.reshape(count, 1, drones, width))[:, 0]

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from crazyarena.errors import InputError
 from crazyarena.levels.document import Node
 from crazyarena.levels.fields import assign, assignment, validate
-from crazyarena.levels.lsy.schema import LsyLevel
+from crazyarena.levels.lsy.schema import PER_DRONE, RACE, LsyLevel
 from crazyarena.levels.lsy.toml_document import read_toml
 
 _FOLDER = Path(__file__).parent
@@ -21,12 +21,15 @@ _OURS = ("rng", "name", "profile")
 # Keys that are known, and without influence on a flight here.
 _KNOWN = {
     "": {"deploy", "controller", "sim", "env"},
-    "deploy": {"real_track_objects", "drones"},
+    "deploy": {"real_track_objects", "drones", "return_height_min", "return_height_max"},
     "controller": {"file"},
     "sim": {"render", "camera", "cam_config", "camera_view", "dynamics"},
-    "env": {"kwargs"},
 }
-_MULTI = "a race of several drones; single drones (env.id DroneRacing-v0) are flown here"
+_NO_RACE = (
+    "a race of several drones, which crazyarena dry-run flies; single drones (env.id "
+    "DroneRacing-v0) are flown here"
+)
+_NEEDS_ID = "belongs to a race of several drones, which has env.id MultiDroneRacing-v0"
 
 
 def shipped_lsy_levels() -> tuple[str, ...]:
@@ -40,7 +43,9 @@ def is_lsy_level(name_or_path: str | Path) -> bool:
     return text in shipped_lsy_levels() or text.lower().endswith(".toml")
 
 
-def load_lsy_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> LsyLevel:
+def load_lsy_level(
+    name_or_path: str | Path, overrides: Sequence[str] = (), *, race: bool = False
+) -> LsyLevel:
     """Load a level of lsy_drone_racing.
 
     Parameters
@@ -48,6 +53,7 @@ def load_lsy_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> L
     name_or_path: ``lsy/level0`` ... ``lsy/level3``, or the path of a TOML file.
     overrides: ``env.seed=7``; besides the file's own fields there are ``rng`` (``pcg64``,
         ``threefry``) and ``profile`` (``successor``, ``arena``).
+    race: races of several drones are welcome, and not refused.
 
     Raises
     ------
@@ -62,7 +68,7 @@ def load_lsy_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> L
             ours[str(keys[0])] = value
         else:
             root = assign(root, keys, value)
-    _refuse_several(root)
+    _look_for_several(root, race)
     known = Node({k: v for k, v in root.value.items() if k not in _OURS}, "", root.source)
     stem = re.sub(r"[^A-Za-z0-9_.-]", "_", path.stem)
     name = f"lsy-{stem}" if path.parent == _FOLDER else stem
@@ -74,7 +80,8 @@ def load_lsy_level(name_or_path: str | Path, overrides: Sequence[str] = ()) -> L
     tree = Node({**known.value, **extra}, "", root.source)
     tree.value["config"] = _Plain(known.plain(), "config", root.source)
     level = validate(tree, LsyLevel)
-    return level.model_copy(update={"warnings": tuple(_unknown(known, LsyLevel))})
+    warnings = _unknown(known, LsyLevel) + (_unheeded(known) if level.race else [])
+    return level.model_copy(update={"warnings": tuple(warnings)})
 
 
 def lsy_text(name_or_path: str | Path) -> str:
@@ -104,20 +111,44 @@ class _Plain(Node):
         return self.value
 
 
-def _refuse_several(root: Node) -> None:
+def _look_for_several(root: Node, welcome: bool) -> None:
+    """Refuse a race where it is not welcome, and what belongs to one where there is none."""
     controller = root.value.get("controller")
-    if controller is not None and isinstance(controller.value, list):
-        controller.fail(_MULTI)
     env = root.value.get("env")
     if env is None:
         root.fail("missing; expected a level of lsy_drone_racing", "env")
     if not isinstance(env.value, dict):
         env.expected("a table")
-    if "kwargs" in env.value:
-        env.value["kwargs"].fail(_MULTI)
     kind = env.value.get("id")
-    if kind is not None and isinstance(kind.value, str) and kind.value.startswith("Multi"):
-        kind.fail(_MULTI)
+    racing = kind is not None and isinstance(kind.value, str) and kind.value == RACE
+    if racing:
+        if not welcome:
+            kind.fail(_NO_RACE)
+        if "kwargs" not in env.value:
+            env.fail("missing; expected a table for each drone", "kwargs")
+        return
+    if controller is not None and isinstance(controller.value, list):
+        controller.fail(_NEEDS_ID)
+    if "kwargs" in env.value:
+        env.value["kwargs"].fail(_NEEDS_ID)
+
+
+def _unheeded(root: Node) -> list[str]:
+    """A warning for what a race has elsewhere, or only for its first drone."""
+    env = root.value["env"].value
+    found = [
+        f"{env[name].source}: env.{name}: ignored; a race has it in env.kwargs"
+        for name in PER_DRONE
+        if name in env
+    ]
+    first, *others = (racer.plain() for racer in env["kwargs"].value)
+    for name in PER_DRONE[1:]:
+        if any(racer.get(name, first.get(name)) != first.get(name) for racer in others):
+            found.append(
+                f"{env['kwargs'].source}: env.kwargs: {name}: the first one's is that of all "
+                "drones, as in lsy_drone_racing"
+            )
+    return found
 
 
 def _unknown(node: Node, model: type[BaseModel]) -> list[str]:

@@ -31,6 +31,11 @@ PHYSICS = ("first_principles",)
 MAX_STEPS = 1500
 """Steps of the environment after which an episode ends."""
 
+SINGLE, RACE = "DroneRacing-v0", "MultiDroneRacing-v0"
+"""``env.id`` of one drone alone, and of several on one track."""
+PER_DRONE = ("freq", "sensor_range", "control_mode")
+"""What a race has in ``env.kwargs``, one table a drone, instead of in ``env``."""
+
 DRAWN_DRONE = ("drone_inertia", "drone_mass", "drone_pos", "drone_rpy")
 DRAWN_TRACK = ("gate_pos", "gate_rpy", "obstacle_pos")
 
@@ -213,32 +218,85 @@ class LsyRandomizations(BaseModel):
         return data
 
 
+_Freq = Annotated[Whole, Field(ge=1, le=1000)]
+_Range = Annotated[Number, Field(ge=0.0, le=100.0)]
+_Mode = Literal["state", "attitude"]
+
+
+class LsyRacer(Open):
+    """One drone of a race. As there, the first one's range and mode are those of all."""
+
+    freq: _Freq = 50
+    """Hz, at which its controller is asked; the fastest one's is that of the environment."""
+    sensor_range: _Range = 0.5
+    control_mode: _Mode = "state"
+
+
 class LsyEnv(Open):
-    id: Literal["DroneRacing-v0"] = "DroneRacing-v0"
+    id: Literal["DroneRacing-v0", "MultiDroneRacing-v0"] = "DroneRacing-v0"
+    kwargs: Annotated[tuple[LsyRacer, ...], Field(max_length=10)] = ()
+    """Of a race: its drones, in the order of ``track.drones``."""
     seed: Annotated[Whole, BeforeValidator(_seed), Field(ge=-1, le=2**32 - 1)] = -1
     """-1 (or ``"random"``): a new one each time."""
-    freq: Annotated[Whole, Field(ge=1, le=1000)] = 50
-    sensor_range: Annotated[Number, Field(ge=0.0, le=100.0)] = 0.5
-    control_mode: Literal["state", "attitude"] = "state"
+    freq: _Freq = 50
+    sensor_range: _Range = 0.5
+    control_mode: _Mode = "state"
     track: LsyTrack
     disturbances: LsyDisturbances = Field(default_factory=LsyDisturbances)
     randomizations: LsyRandomizations = Field(default_factory=LsyRandomizations)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_a_race(cls, data: Any) -> Any:
+        """The environment of a race: as fast as its fastest drone, else as its first."""
+        racers = data.get("kwargs") if isinstance(data, dict) else None
+        if not isinstance(racers, list) or data.get("id") != RACE:
+            return data
+        racers = [racer for racer in racers if isinstance(racer, dict)]
+        rates = [r["freq"] for r in racers if isinstance(r.get("freq"), int)]
+        first = racers[0] if racers else {}
+        rest = {k: v for k, v in data.items() if k not in PER_DRONE}
+        named = {k: first[k] for k in PER_DRONE if k in first}
+        return {**rest, **named, **({"freq": max(rates)} if rates else {})}
+
+    @property
+    def drones(self) -> int:
+        """How many fly."""
+        return len(self.track.drones) if self.id == RACE else 1
+
+    @model_validator(mode="after")
+    def _racers(self) -> Self:
+        if self.id != RACE:
+            return self
+        if len(self.kwargs) != self.drones:
+            raise invalid(
+                f"expected a table for each of the {self.drones} drones in track.drones, "
+                f"found {len(self.kwargs)}",
+                "kwargs",
+            )
+        for index, racer in enumerate(self.kwargs):
+            if self.freq % racer.freq:
+                raise invalid(
+                    f"expected a divisor of the highest one ({self.freq}), found {racer.freq}",
+                    f"kwargs.{index}.freq",
+                )
+        return self
+
     @model_validator(mode="after")
     def _shapes(self) -> Self:
-        gates, poles = len(self.track.gates), len(self.track.obstacles)
+        gates, poles, drones = len(self.track.gates), len(self.track.obstacles), self.drones
         command = 13 if self.control_mode == "state" else 4
         shapes: dict[str, dict[str, tuple[int, ...]]] = {
             "randomizations": {
-                "drone_pos": (1, 1, 3),
-                "drone_rpy": (1, 1, 3),
-                "drone_mass": (1, 1, 1),
-                "drone_inertia": (1, 1, 3, 3),
+                "drone_pos": (1, drones, 3),
+                "drone_rpy": (1, drones, 3),
+                "drone_mass": (1, drones, 1),
+                "drone_inertia": (1, drones, 3, 3),
                 "gate_pos": (1, gates, 3),
                 "gate_rpy": (1, gates, 3),
                 "obstacle_pos": (1, poles, 3),
             },
-            "disturbances": {"action": (1, 1, command), "dynamics": (1, 1, 3)},
+            "disturbances": {"action": (1, drones, command), "dynamics": (1, drones, 3)},
         }
         for table, names in shapes.items():
             for name, shape in names.items():
@@ -273,6 +331,10 @@ class LsyController(Open):
     file: str = ""
 
 
+def _listed(value: Any) -> Any:
+    return [value] if isinstance(value, dict) else value
+
+
 class LsyDeploy(Open):
     """What is looked at before a real race."""
 
@@ -286,7 +348,10 @@ class LsyLevel(Open):
     name: str = "level"
     rng: LsyRng = LsyRng.PCG64
     profile: LsyProfile = LsyProfile.SUCCESSOR
-    controller: LsyController = Field(default_factory=LsyController)
+    controller: Annotated[
+        tuple[LsyController, ...], BeforeValidator(_listed), Field(max_length=10)
+    ] = ()
+    """One table, or one for each drone of a race."""
     deploy: LsyDeploy = Field(default_factory=LsyDeploy)
     sim: LsySim = Field(default_factory=LsySim)
     env: LsyEnv
@@ -305,6 +370,40 @@ class LsyLevel(Open):
                     f"expected a divisor of sim.freq ({self.sim.freq}), found {rate}", name
                 )
         return self
+
+    @model_validator(mode="after")
+    def _world_of_a_race(self) -> Self:
+        if self.race and self.profile is not LsyProfile.SUCCESSOR:
+            raise invalid("races of several drones are flown in profile successor only", "profile")
+        return self
+
+    @property
+    def race(self) -> bool:
+        """Whether several drones fly at once."""
+        return self.env.id == RACE
+
+    @property
+    def drones(self) -> int:
+        """How many drones fly."""
+        return self.env.drones
+
+    @property
+    def periods(self) -> tuple[int, ...]:
+        """Steps of the environment from one question to a drone's controller to the next."""
+        if not self.race:
+            return (1,)
+        return tuple(self.env.freq // racer.freq for racer in self.env.kwargs)
+
+    def config_of(self, drone: int) -> dict[str, Any]:
+        """The whole file as the controller of a drone gets it: in a race with its own rate."""
+        if not self.race:
+            return self.config
+        own = {
+            "freq": self.env.kwargs[drone].freq,
+            "sensor_range": self.env.sensor_range,
+            "control_mode": self.env.control_mode,
+        }
+        return {**self.config, "env": {**self.config.get("env", {}), **own}}
 
     @property
     def duration(self) -> float:

@@ -32,7 +32,7 @@ def levels(
         )
 
         if name is not None and is_lsy_level(name):
-            load_lsy_level(name, set_ or ())  # says what is wrong with it
+            load_lsy_level(name, set_ or (), race=True)  # says what is wrong with it
             typer.echo(lsy_text(name), nl=False)
             return
         if name is not None:
@@ -53,9 +53,10 @@ def levels(
                 f"random: {what}"
             )
         for shipped in shipped_lsy_levels():
-            foreign = load_lsy_level(shipped)
+            foreign = load_lsy_level(shipped, race=True)
             drawn = [key for key, value in foreign.env.randomizations if value is not None]
             layout = ["layout"] if foreign.env.track.randomize else []
             what = ", ".join([*layout, *drawn]) or "nothing"
             gates = len(foreign.env.track.gates)
-            typer.echo(f"{shipped:<16} {gates} gates, random: {what}")
+            drones = f", {foreign.drones} drones" if foreign.race else ""
+            typer.echo(f"{shipped:<16} {gates} gates{drones}, random: {what}")

@@ -138,3 +138,36 @@ def test_ranges_that_leave_no_body_are_refused():
         random("lsy/level0", low).reset()
     with pytest.raises(InputError, match="seed"):
         random("lsy/level0", seed=-1)
+
+
+def race(overrides=(), seed=5):
+    level = load_lsy_level("lsy/multi_level2", overrides, race=True)
+    return LsyRandom(level, NOMINAL, seed).race()
+
+
+def test_the_drones_of_a_race_have_one_track_and_draws_of_their_own():
+    one, two = race()
+    np.testing.assert_array_equal(one.gates, two.gates)
+    np.testing.assert_array_equal(one.obstacles, two.obstacles)
+    offsets = np.array([one.start[:3] - [-1.5, 0.55, 0.01], two.start[:3] - [-1.5, 0.95, 0.01]])
+    assert (np.abs(offsets) <= [0.1, 0.1, 0.02]).all()
+    assert np.abs(offsets[0] - offsets[1]).min() > 1e-4
+    assert one.mass != two.mass
+    for a, b in zip(race(), (one, two), strict=True):
+        np.testing.assert_array_equal(a.start, b.start)
+
+
+@pytest.mark.parametrize("rng", ["pcg64", "threefry"])
+def test_disturbances_of_a_race_do_not_depend_on_who_is_still_in_it(rng):
+    noise = ["env.disturbances.action={fn: normal, scale: 0.001}", f"rng={rng}"]
+    one, two = race(noise)
+    both = [(one.step_noise(), two.step_noise()) for _ in range(6)]
+    assert both[0][0][0].shape == (4,)
+    assert both[0][0][1].shape == (5, 3)
+    assert np.abs(both[0][0][1] - both[0][1][1]).min() > 0.0
+    alone = race(noise)[1]
+    for (_, (action, force)), (action_alone, force_alone) in zip(
+        both, [alone.step_noise() for _ in range(6)], strict=True
+    ):
+        np.testing.assert_array_equal(action, action_alone)
+        np.testing.assert_array_equal(force, force_alone)

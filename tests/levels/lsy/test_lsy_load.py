@@ -28,9 +28,13 @@ def line_of(text, part):
     return next(i for i, line in enumerate(text.splitlines(), 1) if part in line)
 
 
-def test_four_levels_are_shipped_under_their_own_names():
-    assert shipped_lsy_levels() == tuple(f"lsy/level{i}" for i in range(4))
-    for name in shipped_lsy_levels():
+SINGLE = tuple(f"lsy/level{i}" for i in range(4))
+RACES = "lsy/multi_level0", "lsy/multi_level2"
+
+
+def test_levels_are_shipped_under_their_own_names():
+    assert shipped_lsy_levels() == (*SINGLE, *RACES)
+    for name in SINGLE:
         assert is_lsy_level(name)
         level = load_lsy_level(name)
         assert level.warnings == ()
@@ -43,13 +47,12 @@ def test_four_levels_are_shipped_under_their_own_names():
 
 def test_what_each_level_draws():
     drawn = [
-        {k for k, v in load_lsy_level(name).env.randomizations if v is not None}
-        for name in shipped_lsy_levels()
+        {k for k, v in load_lsy_level(name).env.randomizations if v is not None} for name in SINGLE
     ]
     drone = {"drone_pos", "drone_rpy", "drone_mass", "drone_inertia"}
     track = {"gate_pos", "gate_rpy", "obstacle_pos"}
     assert drawn == [set(), drone, drone | track, drone | track]
-    assert [load_lsy_level(n).env.track.randomize for n in shipped_lsy_levels()] == [
+    assert [load_lsy_level(n).env.track.randomize for n in SINGLE] == [
         False, False, False, True,
     ]  # fmt: skip
 
@@ -164,3 +167,68 @@ def test_limits_are_what_the_contract_says():
     assert limits.pos_limit_low == (-2.5, -1.5, -1e-3)
     assert limits.pos_limit_high == (2.5, 1.5, 2.0)
     assert math.isclose(load_lsy_level("lsy/level0").env.sensor_range, 0.7)
+
+
+RACE = (Path(module.__file__).parent / "multi_level2.toml").read_text("utf-8")
+
+
+def race_file(folder, old="", new=""):
+    assert old in RACE
+    file = folder / "race.toml"
+    file.write_text(RACE.replace(old, new, 1) if old else RACE)
+    return file
+
+
+def test_a_race_has_the_rate_of_its_fastest_drone_and_the_mode_of_its_first():
+    for name in RACES:
+        level = load_lsy_level(name, race=True)
+        assert level.race
+        assert level.warnings == ()
+        assert (level.drones, level.periods) == (2, (2, 1))
+        assert (level.env.freq, level.env.control_mode, level.ticks) == (100, "attitude", 5)
+        assert level.env.sensor_range == 0.7
+        assert level.duration == 15.0
+        assert [level.config_of(rank)["env"]["freq"] for rank in range(2)] == [50, 100]
+        assert level.config_of(1)["controller"][1] == {"file": "attitude_mpc_multi.py"}
+        assert [c.file for c in level.controller] == [
+            "attitude_controller_multi.py", "attitude_mpc_multi.py",
+        ]  # fmt: skip
+    starts = [drone.pos for drone in load_lsy_level(RACES[0], race=True).env.track.drones]
+    assert starts == [(-1.5, 0.55, 0.01), (-1.5, 0.95, 0.01)]
+
+
+def test_a_race_is_refused_where_single_drones_are_flown():
+    with pytest.raises(InputError, match=r"multi_level0.toml:\d+: env.id: .*dry-run flies"):
+        load_lsy_level(RACES[0])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where", "words"),
+    [
+        ("freq = 50  ", "freq = 30  ", "env.kwargs[0].freq", "divisor of the highest one (100)"),
+        ("freq = 50  ", "freq = true  ", "env.kwargs[0].freq", "whole number"),
+        ("[[env.kwargs]]\nfreq = 100\n", "[env.extra]\n", "env.kwargs", "each of the 2 drones"),
+        ("[[env.kwargs]]\nfreq = 100\n", "[[env.kwargs]]\nfreq = 300\n", "env.freq", "divisor"),
+        ("control_mode = ", "control_mode = \"thrust\" # ", "env.kwargs[0].control_mode", "state"),
+        ("Multi", "", "controller", "belongs to a race"),
+        ("file = \"att", "file = 3 # \"att", "controller[0].file", "text"),
+        ("minval = -0.005", "minval = [[0.0], [0.0], [0.0]]",
+         "env.randomizations.drone_mass", "broadcast to [1, 2, 1]"),
+    ],
+)  # fmt: skip
+def test_bad_races_are_refused_with_line_and_key(tmp_path, old, new, where, words):
+    with pytest.raises(InputError, match=re.escape(words)) as error:
+        load_lsy_level(race_file(tmp_path, old, new), race=True)
+    assert re.match(rf"{re.escape(str(tmp_path))}\S+:\d+: {re.escape(where)}", str(error.value))
+
+
+def test_what_a_race_does_not_heed_is_warned_of(tmp_path):
+    file = race_file(tmp_path, "seed = -1", 'control_mode = "state"\nseed = -1')
+    text = file.read_text()
+    cut = text.rindex('control_mode = "attitude"')
+    file.write_text(text[:cut] + text[cut:].replace("attitude", "state", 1))
+    level = load_lsy_level(file, race=True)
+    assert level.env.control_mode == "attitude"
+    ignored, first = level.warnings
+    assert "env.control_mode: ignored; a race has it in env.kwargs" in ignored
+    assert "control_mode: the first one's is that of all drones" in first
