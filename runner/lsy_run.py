@@ -146,7 +146,7 @@ class LsyRun:
             )
         named = level if isinstance(level, str) else level.name
         self._file = controller_file(submission, named)
-        self.seed = self._settled(seed, secret)
+        self.seed = settled_seed(self.level, seed, secret)
         self._episodes = episodes
         if self._seeds:
             self.seed, self._episodes = self._seeds[0], len(self._seeds)
@@ -160,16 +160,6 @@ class LsyRun:
         self._sandbox = sandbox or secret
         self._require = require_sandbox
         self._console = console if console is not None else Console()
-
-    def _settled(self, given: int | None, secret: bool) -> int:
-        """The seed of the draws."""
-        if secret:
-            if given is not None:
-                raise InputError("--seed and --secret exclude each other")
-            refuse_short_keys(self.level)
-            return secret_seed()
-        wanted = self.level.env.seed if given is None else given
-        return fresh_seed() if wanted < 0 else wanted
 
     def run(self) -> LsyResult:
         """Fly; write ``result.json`` if there is a folder for it."""
@@ -235,7 +225,7 @@ class LsyRun:
             if not outcome.episodes and self._file_of_results is not None:
                 assert self.out is not None
                 self._file_of_results.discard()
-                _remove_if_empty(self.out)
+                remove_if_empty(self.out)
             raise
         if self._file_of_results is not None:
             self._file_of_results.finish(self._document(outcome, contestant, True))
@@ -257,7 +247,7 @@ class LsyRun:
             return sandboxed
         work = self._file.parent if self.out is None else self.out / "work"
         if self.out is not None:
-            stack.callback(_remove_if_empty, work)
+            stack.callback(remove_if_empty, work)
         return LsyInProcess(LsySubmission(self._file, work, model))
 
     def _episode(
@@ -293,21 +283,8 @@ class LsyRun:
         return result
 
     def _recorder(self, index: int, draw: LsyDraw) -> Recorder:
-        metadata = {
-            "crazyarena": SINCE,
-            "level": self.level.name,
-            "level_file": json.dumps(self.level.config),
-            "rng": str(self.level.rng.value),
-            "seed": str(self.seed if self._seeds is None else self._seeds[index]),
-            "episode": str(index),
-            "submission_sha256": controller_hash(self._file),
-            "command_layout": COMMAND_LAYOUT[self.level.env.control_mode],
-            "start": json.dumps(draw.start.tolist()),
-            "mass": repr(draw.mass),
-            "inertia": json.dumps(draw.inertia.tolist()),
-            "gates": json.dumps(draw.gates.tolist()),
-            "obstacles": json.dumps(draw.obstacles.tolist()),
-        }
+        seed = self.seed if self._seeds is None else self._seeds[index]
+        metadata = recording_metadata(self.level, seed, index, self._file, draw)
         scene = lsy_scene(draw.gates, draw.obstacles)
         file = None
         if self._record and self.out is not None:
@@ -341,6 +318,38 @@ class LsyRun:
         }
 
 
+def settled_seed(level: LsyLevel, given: int | None, secret: bool) -> int:
+    """The seed of the draws; raises InputError for a secret one that cannot be."""
+    if secret:
+        if given is not None:
+            raise InputError("--seed and --secret exclude each other")
+        refuse_short_keys(level)
+        return secret_seed()
+    wanted = level.env.seed if given is None else given
+    return fresh_seed() if wanted < 0 else wanted
+
+
+def recording_metadata(
+    level: LsyLevel, seed: int, index: int, controller: Path, draw: LsyDraw
+) -> dict[str, str]:
+    """What a recording says of its flight."""
+    return {
+        "crazyarena": SINCE,
+        "level": level.name,
+        "level_file": json.dumps(level.config),
+        "rng": str(level.rng.value),
+        "seed": str(seed),
+        "episode": str(index),
+        "submission_sha256": controller_hash(controller),
+        "command_layout": COMMAND_LAYOUT[level.env.control_mode],
+        "start": json.dumps(draw.start.tolist()),
+        "mass": repr(draw.mass),
+        "inertia": json.dumps(draw.inertia.tolist()),
+        "gates": json.dumps(draw.gates.tolist()),
+        "obstacles": json.dumps(draw.obstacles.tolist()),
+    }
+
+
 def summary(result: LsyResult) -> dict[str, Any]:
     """What an evaluation comes to, as plain data."""
     return {
@@ -353,7 +362,8 @@ def summary(result: LsyResult) -> dict[str, Any]:
     }
 
 
-def _remove_if_empty(folder: Path) -> None:
+def remove_if_empty(folder: Path) -> None:
+    """Remove a folder that holds nothing."""
     with contextlib.suppress(OSError):
         folder.rmdir()
 

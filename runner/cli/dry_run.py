@@ -21,6 +21,7 @@ from crazyarena.runner.cli.options.groups import takes
 from crazyarena.runner.cli.options.report import Report, leave_report
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 from crazyarena.runner.cli.options.view import view_options
+from crazyarena.runner.cli.race import flew_race
 
 if TYPE_CHECKING:
     from crazyarena.levels.draw_file import LoadedDraw
@@ -36,11 +37,14 @@ def register(app: typer.Typer) -> None:
 
 @takes(figure=figure_choice, vehicle=vehicle_choice, options=flight_options, view=view_options)
 def dry_run(
-    submission: Annotated[
-        Path | None,
+    submissions: Annotated[
+        list[Path] | None,
         typer.Argument(
+            metavar="[SUBMISSION]...",
             help="Folder with edit_this.py, a .py file with class Controller, or one with a "
-            "controller of lsy_drone_racing. Default: the example racer.",
+            "controller of lsy_drone_racing; for a race of several drones one a drone. Default: "
+            "the example racer.",
+            show_default=False,
         ),
     ] = None,
     level: Annotated[
@@ -103,6 +107,20 @@ def dry_run(
     """
     with bad_input_exits():
         options = replace(options, sandbox=sandbox, secret=secret)
+        if not (margins or draw) and flew_race(
+            submissions or [],
+            level,
+            episodes,
+            seed,
+            out,
+            set_ or [],
+            record,
+            options,
+            view(),
+            report,
+        ):
+            return
+        submission = _one(submissions)
         if margins:
             from crazyarena.runner.cli.margins import show
 
@@ -153,6 +171,18 @@ def dry_run(
         result = run.run()
     if not result.clean:
         raise typer.Exit(EXIT_NOT_CLEAN)
+
+
+def _one(submissions: list[Path] | None) -> Path | None:
+    """The submission, where only one can fly."""
+    if submissions and len(submissions) > 1:
+        from crazyarena.errors import InputError
+
+        raise InputError(
+            f"{len(submissions)} submissions: several fly only in a race, a level of "
+            "lsy_drone_racing with env.id MultiDroneRacing-v0, such as lsy/multi_level0"
+        )
+    return submissions[0] if submissions else None
 
 
 def _drawn(

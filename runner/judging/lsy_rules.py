@@ -34,7 +34,8 @@ OPENING = 0.40
 BOUNDS = (np.array([-3.0, -3.0, 0.0]), np.array([3.0, 3.0, 2.5]))
 """What the simulation lets fly in, m; the level's safety limits are held in a real race only."""
 _ON_PLATFORM = 0.02  # m from the start, in x and in y
-_GONE = np.full(3, -1.0)
+GONE = np.full(3, -1.0)
+"""Where a drone is put that is out, m."""
 
 GATES_PASSED, COLLISION, OUT_OF_BOUNDS, FLOOR = (
     "GATES PASSED",
@@ -144,7 +145,7 @@ class LsyReferee:
         )
         terminated = reason is not None and reason != TIME_LIMIT
         if terminated and not self._real:
-            state[:3] = _GONE
+            state[:3] = GONE
         reward = -1.0 if self.passed == self.gates else 0.0
         return LsyVerdict(self._obs(state), reward, terminated, truncated, reason, events)
 
@@ -153,8 +154,7 @@ class LsyReferee:
         that the last pass ends the run one step later."""
         place = row[TR_POS : TR_POS + 3]
         if row[TR_CONTACT] >= 0.0:
-            code, gates = int(row[TR_CONTACT]), len(self._draw.gates)
-            what = f"gate {code + 1}" if code < gates else f"obstacle {code - gates + 1}"
+            what = self._named(int(row[TR_CONTACT]))
             self.notes.append(f"touched {what} at {row[TR_TIME]:.3f} s")
             return COLLISION
         if self._real:
@@ -165,6 +165,14 @@ class LsyReferee:
         if (place[:2] < low[:2]).any() or (place > high).any():
             return OUT_OF_BOUNDS
         return GATES_PASSED if self.passed == self.gates else None
+
+    def _named(self, code: int) -> str:
+        """What was touched; the drones of a race come behind gates and obstacles."""
+        gates, obstacles = len(self._draw.gates), len(self._draw.obstacles)
+        if code < gates:
+            return f"gate {code + 1}"
+        code -= gates
+        return f"obstacle {code + 1}" if code < obstacles else f"drone {code - obstacles}"
 
     def _ended_for_real(self, row: Array) -> str | None:
         place = row[TR_POS : TR_POS + 3]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from crazyarena.clock import Clock, WallClock
 from crazyarena.crazyswarm_compat import commands as cs
@@ -17,7 +18,7 @@ from crazyarena.levels.lsy.schema import LsyLevel
 from crazyarena.runner.contestant.contract_2022.command_check import Asked
 from crazyarena.runner.contestant.contract_lsy.dialogue import (
     EPISODE_HOOKS,
-    LsyAnswer,
+    Drawing,
     LsyContestant,
     LsyQuestion,
     Told,
@@ -35,6 +36,8 @@ from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.trial.lsy_showing import LsyShowing
 from crazyarena.sim_backend.successor import SuccessorWorld
 from crazyarena.sim_backend.trace import TR_CONTACT, TR_TIME
+
+Array = NDArray[np.float64]
 
 CONTROLLER_FINISHED = "CONTROLLER FINISHED"
 _FULLSTATE = 1  # the number of that verb in recordings
@@ -173,55 +176,20 @@ class LsyEpisode:
             obs = verdict.obs
             told = Told(command, obs, verdict.reward, verdict.terminated, verdict.truncated)
             if self._recorder is not None:
-                self._record(self._recorder, step / rate, answer, rows, verdict)
+                record_command(self._recorder, step / rate, answer.command)
+                ticks = self._referee.steps * len(rows)
+                record_step(self._recorder, step / rate, ticks, rows, verdict, answer.drawings)
             step += 1
             if self._show is not None:
                 self._show.step(step / rate, rows[-1], verdict, answer.drawings)
             if self._on_step is not None:
                 self._on_step(self._index, step / rate)
 
-    def _record(
-        self,
-        recorder: Recorder,
-        time: float,
-        answer: LsyAnswer,
-        rows: np.ndarray,
-        verdict: LsyVerdict,
-    ) -> None:
-        c = answer.command
-        assert c is not None
-        command: cs.Command
-        if len(c) == 13:
-            command = cs.FullState(c[:3], c[3:6], c[6:9], float(c[9]), c[10:13])
-        else:
-            # See COMMAND_LAYOUT: the recording's commands have places for full states only.
-            nothing = np.full(3, np.nan)
-            command = cs.FullState(nothing, nothing, c[:3], float("nan"), np.array([c[3], 0, 0]))
-        recorder.command(time, Asked(_FULLSTATE, command), command)
-        row = np.full(vd.SIZE, np.nan)
-        row[vd.VD_TIME], row[vd.VD_TICKS] = rows[-1, TR_TIME], self._referee.steps * len(rows)
-        row[vd.VD_GATE] = int(verdict.obs["target_gate"])
-        row[vd.VD_COMPLETED] = verdict.reason == GATES_PASSED
-        row[vd.VD_CONTACT] = rows[-1, TR_CONTACT]
-        row[vd.VD_REWARD] = verdict.reward
-        row[vd.VD_DONE], row[vd.VD_TRUNCATED] = verdict.terminated, verdict.truncated
-        recorder.step(rows, row)
-        for event in verdict.events:
-            recorder.event(event.time, int(row[vd.VD_TICKS]), event.name, event.detail)
-        if answer.drawings:
-            recorder.scene(time, drawn_scene(answer.drawings, time))
-
     def _result(self, reason: str, started: float, built: float) -> LsyEpisodeResult:
         referee, rate = self._referee, self._level.env.freq
-        notes = list(referee.notes)
         success = referee.passed == referee.gates
         if self._show is not None:
             self._show.end(referee.steps / rate, reason, success)
-        if reason == CONTROLLER_FINISHED and referee.steps <= _QUICK:
-            notes.append(
-                "the controller ended the episode at once: step_callback answers True where it "
-                "is not overridden"
-            )
         return LsyEpisodeResult(
             index=self._index,
             termination=reason,
@@ -236,6 +204,52 @@ class LsyEpisode:
             construct_ms=built * 1e3,
             wall_time=self._wall.now() - started,
             error=self._error,
-            notes=notes,
+            notes=[*referee.notes, *hints(reason, referee.steps)],
             events=self._events,
         )
+
+
+def record_command(recorder: Recorder, time: float, c: Array) -> None:
+    """Record a command (13,) or (4,) of the step that begins at ``time`` s."""
+    command: cs.Command
+    if len(c) == 13:
+        command = cs.FullState(c[:3], c[3:6], c[6:9], float(c[9]), c[10:13])
+    else:
+        # See COMMAND_LAYOUT: the recording's commands have places for full states only.
+        nothing = np.full(3, np.nan)
+        command = cs.FullState(nothing, nothing, c[:3], float("nan"), np.array([c[3], 0, 0]))
+    recorder.command(time, Asked(_FULLSTATE, command), command)
+
+
+def record_step(
+    recorder: Recorder,
+    time: float,
+    ticks: int,
+    rows: Array,
+    verdict: LsyVerdict,
+    drawings: Sequence[Drawing],
+) -> None:
+    """Record the ticks (k, TRACE_SIZE) of the step that began at ``time`` s, what the referee says
+    of them, and what was drawn before; ``ticks``: since the episode began."""
+    row = np.full(vd.SIZE, np.nan)
+    row[vd.VD_TIME], row[vd.VD_TICKS] = rows[-1, TR_TIME], ticks
+    row[vd.VD_GATE] = int(verdict.obs["target_gate"])
+    row[vd.VD_COMPLETED] = verdict.reason == GATES_PASSED
+    row[vd.VD_CONTACT] = rows[-1, TR_CONTACT]
+    row[vd.VD_REWARD] = verdict.reward
+    row[vd.VD_DONE], row[vd.VD_TRUNCATED] = verdict.terminated, verdict.truncated
+    recorder.step(rows, row)
+    for event in verdict.events:
+        recorder.event(event.time, ticks, event.name, event.detail)
+    if drawings:
+        recorder.scene(time, drawn_scene(drawings, time))
+
+
+def hints(reason: str, steps: int) -> list[str]:
+    """What to tell of an episode that its controller ended after some steps."""
+    if reason != CONTROLLER_FINISHED or steps > _QUICK:
+        return []
+    return [
+        "the controller ended the episode at once: step_callback answers True where it is not "
+        "overridden"
+    ]

@@ -70,8 +70,13 @@ class LsyContestant(Protocol):
     digest: str
     description: dict[str, Any]
 
-    def make(self, obs: Observation, config: dict[str, Any]) -> None:
-        """Construct the controller of an episode; raises InputError if that fails."""
+    def make(
+        self, obs: Observation, config: dict[str, Any], info: dict[str, Any] | None = None
+    ) -> None:
+        """Construct the controller of an episode; raises InputError if that fails.
+
+        info: what it is told with every observation; empty unless in a race.
+        """
         ...
 
     def ask(self, question: LsyQuestion) -> LsyAnswer:

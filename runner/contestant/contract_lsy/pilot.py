@@ -33,12 +33,16 @@ class LsyPilot:
         self._controller: Any = None
         self._size = 13
         self._draws = True
+        self._info: dict[str, Any] = {}
 
-    def make(self, obs: Observation, config: dict[str, Any]) -> None:
+    def make(
+        self, obs: Observation, config: dict[str, Any], info: dict[str, Any] | None = None
+    ) -> None:
+        self._info = dict(info or {})
         full = level_config(config)
         self._size = 4 if full.env.control_mode == "attitude" else 13
         self._controller = None
-        self._controller = self._submission.make(fresh(obs), full)
+        self._controller = self._submission.make(fresh(obs), dict(self._info), full)
 
     def ask(self, question: LsyQuestion) -> LsyAnswer:
         """Never raises for the controller's failures."""
@@ -51,7 +55,7 @@ class LsyPilot:
                 answer.finished = bool(
                     self._controller.step_callback(
                         told.action.copy(), fresh(told.obs), told.reward, told.terminated,
-                        told.truncated, {},
+                        told.truncated, dict(self._info),
                     )
                 )  # fmt: skip
                 answer.callback_seconds = time.perf_counter() - started
@@ -60,7 +64,7 @@ class LsyPilot:
             if question.obs is not None and not answer.finished:
                 where = "compute_control"
                 begun = time.perf_counter()
-                command = self._controller.compute_control(fresh(question.obs), {})
+                command = self._controller.compute_control(fresh(question.obs), dict(self._info))
                 answer.command_seconds = time.perf_counter() - begun
                 answer.command = checked_command(command, self._size, question.step)
         except CommandError as error:

@@ -234,10 +234,10 @@ class LsySubmission:
             )
         return found[0]
 
-    def make(self, obs: dict[str, Any], config: Any) -> Any:
+    def make(self, obs: dict[str, Any], info: dict[str, Any], config: Any) -> Any:
         """Construct the controller; raises InputError with its traceback if it raises."""
         try:
-            return self.controller_class(obs, {}, config)
+            return self.controller_class(obs, info, config)
         except KeyboardInterrupt:
             raise
         except BaseException as error:

@@ -45,14 +45,17 @@ class LsySandboxed(Sandboxed):
     def _loading(self) -> object:
         return self._model
 
-    def make(self, obs: Observation, config: dict[str, Any]) -> None:  # type: ignore[override]
+    def make(  # type: ignore[override]
+        self, obs: Observation, config: dict[str, Any], info: dict[str, Any] | None = None
+    ) -> None:
         # The seed would tell what nobody has seen yet.
-        if self._step is not None:
-            # An earlier episode ended without the answer to its last question.
-            self.wait(self._limits.make_timeout)
+        if self._step is not None and self.wait(self._limits.make_timeout) is None:
+            self.kill()  # it still thinks about the last question of an earlier episode
+        if self._process is None or self._process.poll() is not None:
+            self._renew()
         env = {**config.get("env", {}), "seed": -1}
         told = {"parameters": self._parameters} if self._parameters else {}
-        payload = (obs, {**config, "env": env, **told})
+        payload = (obs, {**config, "env": env, **told}, info)
         self._request("make", payload, self._limits.make_timeout, "the controller's constructor")
 
     def put(self, question: LsyQuestion) -> None:

@@ -16,6 +16,7 @@ from crazyarena.runner.records.pages.charts import Line, chart
 from crazyarena.runner.records.pages.compare_page import comparison
 from crazyarena.runner.records.pages.flown import Flown, read_flown, scene
 from crazyarena.runner.records.pages.page import folded, page, section, table, text, wide
+from crazyarena.runner.records.pages.race import named, races
 
 MOST_FLIGHTS = 16
 """That are shown in full: failures first; all are in the table."""
@@ -42,6 +43,7 @@ def run_page(run: Path, against: Path | None = None) -> str:
     origin = document.get("provenance")
     origin = origin if isinstance(origin, dict) else {}
     parts = [_lead(document, episodes), section("Episodes", _overview(episodes))]
+    parts.append(races(episodes, [_recording(run, episode) for episode in episodes]))
     parts += _flights(run, episodes)
     if against is not None:
         found = compare([against], [run], (against.name, run.name))
@@ -78,7 +80,7 @@ def _lead(document: dict[str, Any], episodes: Sequence[dict[str, Any]]) -> str:
 def _overview(episodes: Sequence[dict[str, Any]]) -> str:
     rows = [
         (
-            e.get("index", number),
+            named(e, number),
             _why(e),
             _seconds(e.get("flight_time", e.get("time"))),
             f"{e.get('gates_passed', '?')}/{e.get('gates', '?')}",
@@ -104,7 +106,7 @@ def _flights(run: Path, episodes: Sequence[dict[str, Any]]) -> list[str]:
         file = _recording(run, episodes[i])
         inner = "" if file is None else flight(read_flown(file))
         inner += _details(episodes[i])
-        parts.append(folded(f"Episode {episodes[i].get('index', i)}: {_why(episodes[i])}",
+        parts.append(folded(f"Episode {named(episodes[i], i)}: {_why(episodes[i])}",
                             inner, shut=i != first))  # fmt: skip
     left = len(episodes) - len(order)
     if left:
