@@ -35,6 +35,8 @@ def environment(box: Box, parameters: Mapping[str, object]) -> dict[str, str]:
         "NUMBA_CACHE_DIR": str(box.home / ".numba"),
         "MPLCONFIGDIR": str(box.home / ".matplotlib"),
         "MPLBACKEND": "Agg",
+        # torch.compile would make a file larger than any may be.
+        "TORCHINDUCTOR_CPP_CACHE_PRECOMPILE_HEADERS": "0",
         "PYTHONHASHSEED": "0",
         "PYTHONDONTWRITEBYTECODE": "1",
         "PYTHONUNBUFFERED": "1",

@@ -12,7 +12,7 @@ from crazyarena.runner.contestant.contract_lsy.dialogue import Drawing, LsyAnswe
 from crazyarena.runner.contestant.sandbox import lsy, wire
 from crazyarena.runner.contestant.sandbox.confine import acados_folder
 from crazyarena.runner.lsy_run import LsyRun
-from tests.runner.lsy_controllers import LOG, STATE, controller
+from tests.runner.lsy_controllers import HEAD, LOG, STATE, controller
 
 
 def fly(tmp_path, source, out="out", **options):
@@ -110,6 +110,104 @@ assert f(2.0) == 6.0
 return np.zeros(13)
 """
     assert fly(tmp_path, controller(body)).error is None
+
+
+OPTIMISER = """
+import casadi as ca
+
+class C(Controller):
+    def __init__(self, obs, info, config):
+        opti = ca.Opti()
+        x = opti.variable(3)
+        opti.minimize(ca.sumsqr(x - 1) + x[0] ** 4)
+        opti.subject_to(x[1] >= 2)
+        opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes"})
+        self.place = opti.solve().value(x)
+        s = ca.SX.sym("s", 3)
+        options = {"jit": True, "compiler": "shell", "jit_options": {"flags": ["-O1"]}}
+        self.square = ca.Function("square", [s], [s**2], options)
+
+    def compute_control(self, obs, info=None):
+        assert abs(self.place[1] - 2) < 1e-4, self.place
+        assert float(self.square([3, 0, 0])[0]) == 9.0
+        return np.zeros(13)
+"""
+NETWORK = """
+import torch
+from pathlib import Path
+
+class C(Controller):
+    def __init__(self, obs, info, config):
+        self.net = torch.nn.Sequential(torch.nn.Linear(13, 8), torch.nn.Tanh(),
+                                       torch.nn.Linear(8, 13))
+        weights = torch.load(Path(__file__).parent / "actor.ckpt", map_location="cpu")
+        self.net.load_state_dict(weights)
+
+    def compute_control(self, obs, info=None):
+        seen = [obs[k] for k in ("pos", "quat", "vel", "ang_vel")]
+        with torch.no_grad():
+            return self.net(torch.tensor(np.concatenate(seen))).numpy()
+"""
+COMPILED = """
+import torch
+
+class C(Controller):
+    def __init__(self, obs, info, config):
+        double = torch.compile(lambda x: torch.sin(x) * 2)
+        assert double(torch.zeros(3)).tolist() == [0, 0, 0]
+
+    def compute_control(self, obs, info=None):
+        return np.zeros(13)
+"""
+POLICY = """
+from pathlib import Path
+from stable_baselines3 import PPO
+
+class C(Controller):
+    def __init__(self, obs, info, config):
+        self.policy = PPO.load(Path(__file__).parent / "ppo.zip", device="cpu")
+
+    def compute_control(self, obs, info=None):
+        seen = [obs[k] for k in ("pos", "quat", "vel", "ang_vel")]
+        action, _ = self.policy.predict(np.concatenate(seen), deterministic=True)
+        return np.concatenate([action, np.zeros(9)])
+"""
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
+def test_casadi_with_its_solvers_and_its_compiler(tmp_path):
+    pytest.importorskip("casadi")
+    assert fly(tmp_path, HEAD + OPTIMISER).error is None
+
+
+def test_a_checkpoint_of_torch(tmp_path):
+    torch = pytest.importorskip("torch")
+    net = torch.nn.Sequential(torch.nn.Linear(13, 8), torch.nn.Tanh(), torch.nn.Linear(8, 13))
+    (tmp_path / "code").mkdir()
+    torch.save(net.state_dict(), tmp_path / "code" / "actor.ckpt")
+    assert fly(tmp_path, HEAD + NETWORK).error is None
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no compiler")
+def test_what_torch_compiles(tmp_path):
+    pytest.importorskip("torch")
+    assert fly(tmp_path, HEAD + COMPILED).error is None
+
+
+def test_a_policy_of_stable_baselines3(tmp_path):
+    sb3, spaces = pytest.importorskip("stable_baselines3"), pytest.importorskip("gymnasium.spaces")
+    gymnasium = pytest.importorskip("gymnasium")
+
+    class World(gymnasium.Env):
+        observation_space = spaces.Box(-np.inf, np.inf, (13,), np.float32)
+        action_space = spaces.Box(-1.0, 1.0, (4,), np.float32)
+
+        def reset(self, *, seed=None, options=None):
+            return np.zeros(13, np.float32), {}
+
+    (tmp_path / "code").mkdir()
+    sb3.PPO("MlpPolicy", World(), device="cpu").save(tmp_path / "code" / "ppo.zip")
+    assert fly(tmp_path, HEAD + POLICY).error is None
 
 
 def test_answers_and_drawings_survive_the_channel():
