@@ -28,9 +28,11 @@ from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.records.report import machine, versions
 from crazyarena.runner.records.run_folder import ResultFile, run_folder
 from crazyarena.runner.trial.lsy_race_episode import PATIENCE, RaceEpisode, RaceResult
+from crazyarena.runner.trial.lsy_race_showing import RaceShowing
 from crazyarena.runner.warm_up import compile_missing
 from crazyarena.sim_backend.successor import nominal
 from crazyarena.sim_backend.successor_race import SuccessorRace
+from crazyarena.viewer_process import View, ViewOptions
 
 _THEIRS = Path("lsy_drone_racing", "control")
 
@@ -115,6 +117,8 @@ class LsyRace:
     record: write an MCAP file a drone and race into it.
     require_sandbox: refuse to fly without full walls.
     patience: s of wall time that a controller may take for an answer.
+    view: show it in the browser, until :meth:`finish`; pace: times real time that it then flies at,
+        0 for as fast as it goes.
 
     Raises
     ------
@@ -134,6 +138,8 @@ class LsyRace:
         require_sandbox: bool = False,
         console: Console | None = None,
         patience: float = PATIENCE,
+        view: ViewOptions | None = None,
+        pace: float = 1.0,
     ) -> None:
         self.level = level
         self.out = out
@@ -145,10 +151,38 @@ class LsyRace:
         self._require = require_sandbox
         self._console = console if console is not None else Console()
         self._patience = patience
+        self._wanted_view, self._pace = view, pace
+        self._view: View | None = None
+        self._show: RaceShowing | None = None
         self._trouble: str | None = None
 
     def run(self) -> RaceOutcome:
         """Fly; write ``result.json``."""
+        try:
+            return self._run()
+        except BaseException:
+            if self._view is not None:
+                self._view.close()
+            raise
+
+    def finish(self) -> None:
+        """Let the viewer, if there is one, stay as long as somebody looks."""
+        if self._view is not None:
+            self._view.finish()
+
+    def _open_show(self, stack: contextlib.ExitStack) -> None:
+        if self._wanted_view is None:
+            return
+        self._view = View(
+            self._wanted_view,
+            lambda text: self._console.print(text, highlight=False, markup=False, soft_wrap=True),
+            vehicles=self.level.drones,
+        )
+        self._show = RaceShowing(self._view.live, self.level, self._episodes, self._pace)
+        stack.callback(self._show.close)
+        self._view.await_browser()
+
+    def _run(self) -> RaceOutcome:
         console, level = self._console, self.level
         for warning in level.warnings:
             console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
@@ -164,6 +198,7 @@ class LsyRace:
                 self._seat(racers, stack)
                 # Thinking costs no time here, so there is no step to wait for.
                 stack.enter_context(stack.enter_context(Interrupt()).at_once())
+                self._open_show(stack)
                 for index in range(self._episodes):
                     race = self._fly(index, racers, world, referee, random.race())
                     outcome.races.append(race)
@@ -212,6 +247,7 @@ class LsyRace:
                 world,
                 referee,
                 recorders=recorders,
+                show=self._show,
                 patience=self._patience,
             ).fly(draws)
         for result, recorder in zip(race, recorders, strict=False):

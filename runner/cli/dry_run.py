@@ -118,6 +118,7 @@ def dry_run(
             options,
             view(),
             report,
+            view_speed,
         ):
             return
         submission = _one(submissions)

@@ -27,6 +27,7 @@ def flew_race(
     options: FlightOptions,
     view: ViewOptions | None,
     report: bool,
+    pace: float,
 ) -> bool:
     """Fly a race of several drones, told by its level; False if this is none."""
     if level is None or not (level.startswith("lsy/") or level.lower().endswith(".toml")):
@@ -44,8 +45,6 @@ def flew_race(
          "in lsy_drone_racing's simulation thinking costs no time; leave it out"),
         (options.sandbox is False, "--no-sandbox",
          "in a race each controller has a process of its own; leave it out"),
-        (view is not None, "--view",
-         "shows single drones; crazyarena replay shows all drones of a race that has flown"),
     ):  # fmt: skip
         if given:
             raise InputError(f"{name}: {remedy}")
@@ -67,6 +66,8 @@ def flew_race(
         record=record,
         require_sandbox=options.require_sandbox,
         console=console,
+        view=view,
+        pace=pace,
     )
     outcome = run.run()
     tell_race(outcome, console)
@@ -75,6 +76,7 @@ def flew_race(
     console.print(f"{told}. Results in {where}", highlight=False, markup=False, soft_wrap=True)
     if report and run.out is not None:
         leave_report(run.out, console)
+    run.finish()
     if outcome.cut_short is not None:
         raise StorageError(outcome.cut_short)
     if not outcome.clean:

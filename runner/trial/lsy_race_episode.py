@@ -37,6 +37,7 @@ from crazyarena.runner.trial.lsy_episode import (
     record_command,
     record_step,
 )
+from crazyarena.runner.trial.lsy_race_showing import RaceShowing
 from crazyarena.sim_backend.successor_race import SuccessorRace
 
 Array = NDArray[np.float64]
@@ -100,7 +101,7 @@ class RaceEpisode:
     Parameters
     ----------
     names: of the controllers, for people. recorders: one a drone, or none at all.
-    patience: s of wall time for one answer.
+    show: to viewers, as it flies. patience: s of wall time for one answer.
     """
 
     def __init__(
@@ -113,6 +114,7 @@ class RaceEpisode:
         referee: RaceReferee,
         *,
         recorders: Sequence[Recorder] = (),
+        show: RaceShowing | None = None,
         patience: float = PATIENCE,
         wall: Clock | None = None,
     ) -> None:
@@ -123,6 +125,7 @@ class RaceEpisode:
         self._world = world
         self._referee = referee
         self._recorders = recorders
+        self._show = show
         self._patience = patience
         self._wall = wall if wall is not None else WallClock()
         self._flown = [_Flown() for _ in racers]
@@ -132,6 +135,8 @@ class RaceEpisode:
         the first race."""
         started = self._wall.now()
         self._world.reset(draws)
+        if self._show is not None:
+            self._show.begin_race(self._index, draws)
         obs = self._referee.begin(draws, self._world.states)
         try:
             self._make(obs)
@@ -141,7 +146,16 @@ class RaceEpisode:
         except KeyboardInterrupt:
             for flown in self._flown:
                 flown.reason = flown.reason or INTERRUPTED
-        return self._results(self._wall.now() - started)
+        results = self._results(self._wall.now() - started)
+        if self._show is not None:
+            self._show_end(results)
+        return results
+
+    def _show_end(self, results: Sequence[RaceResult]) -> None:
+        assert self._show is not None
+        told = ", ".join(f"drone {r.drone}: {r.termination}" for r in results)
+        last = max(r.steps for r in results) / self._level.env.freq
+        self._show.end(last, told, all(r.success for r in results))
 
     def _make(self, obs: Observation) -> None:
         failed: list[CrazyarenaError] = []
@@ -184,6 +198,9 @@ class RaceEpisode:
             self._take_down(step, flew, rows, verdict)
             self._tell(step, flew, verdict)
             step += 1
+            if self._show is not None:
+                drawn = {d: f.drawings for d, f in enumerate(self._flown) if f.drawings}
+                self._show.step_race(step / self._level.env.freq, rows, verdict, drawn)
             if verdict.terminated or verdict.truncated or self._all_finished():
                 break
         for drone in self._racing():
@@ -217,7 +234,8 @@ class RaceEpisode:
 
     def _tell(self, step: int, flew: Sequence[int], verdict: RaceVerdict) -> None:
         """Call ``step_callback`` of those that were asked for this step's command."""
-        draw = bool(self._recorders) and step % _DRAWN_EVERY == 0
+        kept = bool(self._recorders) or self._show is not None
+        draw = kept and step % _DRAWN_EVERY == 0
         questions = {}
         for drone in flew:
             command = self._flown[drone].command
@@ -248,6 +266,7 @@ class RaceEpisode:
             flown.events += said.events
             if said.reason is not None:
                 flown.reason = said.reason
+            drawings, flown.drawings = flown.drawings, []
             if not self._recorders:
                 continue
             recorder = self._recorders[drone]
@@ -255,8 +274,7 @@ class RaceEpisode:
                 assert flown.command is not None
                 record_command(recorder, began, flown.command.astype(np.float64))
             count = self._referee.drones[drone].steps * len(ticks)
-            record_step(recorder, began, count, ticks, said, flown.drawings)
-            flown.drawings = []
+            record_step(recorder, began, count, ticks, said, drawings)
 
     def _call_hooks(self) -> None:
         for drone, (racer, flown) in enumerate(zip(self._racers, self._flown, strict=True)):

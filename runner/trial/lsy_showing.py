@@ -60,6 +60,12 @@ class LsyShowing:
 
     def begin(self, index: int, draw: LsyDraw) -> None:
         """An episode begins in this world."""
+        self._set_up(index, draw)
+        self._place(draw.start[:3], draw.start[6:10], draw.start[3:6], np.full(3, np.nan))
+        self._publish()
+
+    def _set_up(self, index: int, draw: LsyDraw) -> None:
+        """Show the track of an episode."""
         told = lsy_scene(draw.nominal_gates, draw.nominal_obstacles)["entities"]
         for entity in told:
             for body in (*entity["cubes"], *entity["cylinders"]):
@@ -71,8 +77,6 @@ class LsyShowing:
         self._pace.begin()
         self._facts |= {"episode": index, "gates": len(draw.gates), "gate": 0, "why": ""}
         self._facts |= {"phase": Phase.RUN.value, "time": 0.0}
-        self._place(draw.start[:3], draw.start[6:10], draw.start[3:6], np.full(3, np.nan))
-        self._publish()
 
     def step(
         self, time: float, row: Array, verdict: LsyVerdict, drawings: Sequence[Drawing] | None
@@ -81,12 +85,11 @@ class LsyShowing:
         self._facts["time"], self._facts["gate"] = time, int(verdict.obs["target_gate"])
         for event in verdict.events:
             self._note(event.time, event.name, event.detail)
-        self._place(
-            row[TR_POS : TR_POS + 3],
-            row[TR_QUAT : TR_QUAT + 4],
-            row[TR_VEL : TR_VEL + 3],
-            row[TR_SETPOINT : TR_SETPOINT + 3],
-        )
+        self._place_row(row)
+        self._go_on(time, drawings)
+
+    def _go_on(self, time: float, drawings: Sequence[Drawing] | None) -> None:
+        """Vehicles are where they are at ``time`` s."""
         self._live.extend()
         if drawings:
             self._scene["drawn"] = drawn_scene(drawings, time)["entities"]
@@ -110,8 +113,19 @@ class LsyShowing:
     def _note(self, time: float, name: str, detail: str) -> None:
         self._events.append([time, shown_line(name), shown(detail)[:200]])
 
-    def _place(self, position: Array, turn: Array, velocity: Array, setpoint: Array) -> None:
-        row = self._live.rows[0]
+    def _place_row(self, row: Array, vehicle: int = 0) -> None:
+        self._place(
+            row[TR_POS : TR_POS + 3],
+            row[TR_QUAT : TR_QUAT + 4],
+            row[TR_VEL : TR_VEL + 3],
+            row[TR_SETPOINT : TR_SETPOINT + 3],
+            vehicle,
+        )
+
+    def _place(
+        self, position: Array, turn: Array, velocity: Array, setpoint: Array, vehicle: int = 0
+    ) -> None:
+        row = self._live.rows[vehicle]
         row[POSITION : POSITION + 3] = position
         row[QUATERNION : QUATERNION + 4] = turn
         row[VELOCITY : VELOCITY + 3] = velocity
@@ -119,7 +133,7 @@ class LsyShowing:
 
     def _publish(self) -> None:
         self._published = self._wall.now()
-        speed = self._live.rows[0, VELOCITY : VELOCITY + 3]
-        self._facts["speed"] = round(float(np.linalg.norm(speed)), 3)
+        speeds = np.linalg.norm(self._live.rows[:, VELOCITY : VELOCITY + 3], axis=1)
+        self._facts["speed"] = round(float(np.nan_to_num(speeds).max()), 3)
         self._facts["events"] = list(self._events)
         self._live.publish(self._facts)

@@ -7,9 +7,11 @@ from crazyarena.clock import VirtualClock
 from crazyarena.errors import InputError
 from crazyarena.levels.lsy import load_lsy_level
 from crazyarena.levels.lsy.draw import LsyRandom
-from crazyarena.runner.contestant.contract_lsy.dialogue import LsyAnswer
+from crazyarena.live import POSITION, Live, Watched
+from crazyarena.runner.contestant.contract_lsy.dialogue import Drawing, LsyAnswer
 from crazyarena.runner.judging.lsy_race_rules import RaceReferee
 from crazyarena.runner.trial.lsy_race_episode import RaceEpisode
+from crazyarena.runner.trial.lsy_race_showing import RaceShowing
 from crazyarena.sim_backend.successor import nominal
 from crazyarena.sim_backend.successor_race import SuccessorRace
 
@@ -41,7 +43,9 @@ class Scripted:
         question, self._question = self._question, None
         if question.told is not None:
             self.told.append((question.step, question.told))
-            return LsyAnswer(question.step, finished=self._finished(len(self.asked)))
+            drawn = [Drawing("line", np.zeros((2, 3)), (1.0, 0.0, 0.0, 1.0), 2.0)]
+            finished = self._finished(len(self.asked))
+            return LsyAnswer(question.step, finished=finished, drawings=drawn * question.draw)
         self.asked.append((question.step, question.obs))
         if self._fails is not None and len(self.asked) == self._fails[0]:
             return self._fails[1] and LsyAnswer(question.step, error=self._fails[1])
@@ -58,9 +62,10 @@ class Scripted:
         pass
 
 
-def race(*racers, level=LEVEL, index=0):
+def race(*racers, level=LEVEL, index=0, show=None):
     world, referee = SuccessorRace(level), RaceReferee(level)
-    episode = RaceEpisode(index, level, racers, ["one", "two"], world, referee, wall=VirtualClock())
+    names, wall = ["one", "two"], VirtualClock()
+    episode = RaceEpisode(index, level, racers, names, world, referee, wall=wall, show=show)
     return episode.fly(LsyRandom(level, nominal(level), 0).race())
 
 
@@ -151,3 +156,27 @@ def test_ctrl_c_ends_it_for_those_that_still_fly():
 
     results = race(Scripted(fails=(2, "raised")), Stopped())
     assert [r.termination for r in results] == ["CONTROLLER ERROR", "INTERRUPTED"]
+
+
+def test_viewers_see_all_drones_and_those_no_more_that_are_out(tmp_path):
+    class Looks(RaceShowing):
+        def step_race(self, *said):
+            self._published = -1e9  # every step has its picture
+            super().step_race(*said)
+            rows = watched.state().rows
+            places.append(rows[:, POSITION : POSITION + 3].copy())
+            lines.append(sum(len(e["lines"]) for e in watched.scene()["drawn"]))
+
+    live, places, lines = Live(2, tmp_path), [], []
+    watched = Watched(live.file)
+    show = Looks(live, LEVEL, 1, pace=0.0, wall=VirtualClock())
+    race(Scripted(UP, fails=(11, "raised")), Scripted(finished=at(30)), show=show)
+    assert len(places) == 30
+    assert np.isfinite(places[19]).all()
+    assert np.isnan(places[20][0]).all()
+    np.testing.assert_allclose(places[-1][1, :2], [-1.5, 0.95], atol=0.01)
+    assert set(lines) == {2}
+    facts = watched.state().facts
+    assert facts["why"] == "drone 0: CONTROLLER ERROR, drone 1: CONTROLLER FINISHED"
+    assert watched.scene()["vehicles"] == ["drone 0", "drone 1"]
+    live.close()
