@@ -30,6 +30,9 @@ def environment(box: Box, parameters: Mapping[str, object]) -> dict[str, str]:
     return {
         **kept,
         "HOME": str(box.home),
+        # Its user has no name of its own that libraries could look up.
+        "USER": "contestant",
+        "LOGNAME": "contestant",
         "TMPDIR": str(box.tmp),
         "XDG_CACHE_HOME": str(box.home / ".cache"),
         "NUMBA_CACHE_DIR": str(box.home / ".numba"),

@@ -32,9 +32,9 @@ from crazyarena.runner.contestant.sandbox.box import Box
 from crazyarena.runner.contestant.sandbox.confine import may_mount, open_to_others, readable
 from crazyarena.runner.contestant.sandbox.environment import environment
 from crazyarena.runner.contestant.sandbox.limits import Limits
+from crazyarena.runner.contestant.sandbox.own_user import own_user
 from crazyarena.runner.contestant.submission import check_size, entry_file, submission_hash
 
-_NOBODY = 65534
 _START_TIMEOUT = 60.0  # s, for the interpreter to come up
 _SENDING = 1.0  # s, for a question to find room in the channel
 _LOOK = 0.25  # s, between looks at how many files there are, while nothing else happens
@@ -273,9 +273,9 @@ class Sandboxed:
         root = os.getuid() == 0
         # bubblewrap and a root of its own show the interpreter to everybody, wherever it is.
         drop = root and (bwrap is not None or open_to_others(MOUNT and may_mount()))
-        user = _NOBODY if drop else os.getuid()
+        user = own_user() if drop else os.getuid()
         if drop:
-            box.give_to(_NOBODY, _NOBODY)
+            box.give_to(user, user)
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._channel = ours
         command: list[str] = []

@@ -1,6 +1,7 @@
 """Races of lsy_drone_racing from the command line, each controller in a process of its own."""
 
 import json
+import os
 import textwrap
 from pathlib import Path
 
@@ -158,6 +159,27 @@ def test_one_that_is_slow_flies_as_it_would_alone(call, tmp_path):
             for out in ("fast", "out")
         ]
         np.testing.assert_array_equal(*states)
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only the super-user gives them users of their own")
+def test_one_that_takes_all_processes_it_may_have_takes_none_of_the_others(call, tmp_path):
+    greedy = (
+        UP
+        + """
+import os
+if t == 0.2:
+    try:
+        for _ in range(200):
+            if os.fork() == 0:
+                time.sleep(60)
+                os._exit(0)
+    except OSError:
+        print("no more")
+"""
+    )
+    threads = UP + "\nimport threading\nwork = threading.Thread(target=int)\nwork.start()"
+    call({"one.py": racer(greedy, "self.k > 40"), "two.py": racer(threads, "self.k > 40")})
+    assert ends(document(tmp_path)) == ["CONTROLLER FINISHED"] * 2
 
 
 def test_controllers_that_the_level_names_are_found_as_in_a_checkout(call, tmp_path):
