@@ -23,7 +23,13 @@ from crazyarena.runner.contestant.contract_lsy.dialogue import (
     Told,
 )
 from crazyarena.runner.judging import verdict_row as vd
-from crazyarena.runner.judging.lsy_rules import GATES_PASSED, LsyEvent, LsyReferee, LsyVerdict
+from crazyarena.runner.judging.lsy_rules import (
+    GATES_PASSED,
+    LsyEvent,
+    LsyReferee,
+    LsyVerdict,
+    lsy_why,
+)
 from crazyarena.runner.judging.result import (
     CONTROLLER_ERROR,
     CONTROLLER_TIMEOUT,
@@ -51,6 +57,7 @@ _QUICK = 3  # steps: one that finishes so soon has most likely forgotten step_ca
 class LsyEpisodeResult:
     """Summary of an episode. Times in s.
 
+    why: the termination with what the referee knows of it.
     time: as lsy_drone_racing counts it: the index of the last step over the rate.
     flight_time: the same with the last step. notes: where our rules, or the real race, would have
     decided otherwise, and hints.
@@ -72,6 +79,12 @@ class LsyEpisodeResult:
     notes: list[str] = field(default_factory=list)
     events: list[LsyEvent] = field(default_factory=list)
     files: dict[str, str] = field(default_factory=dict)
+    why: str = ""
+
+    @property
+    def clean(self) -> bool:
+        """It passed all gates."""
+        return self.success
 
 
 class LsyEpisode:
@@ -215,8 +228,9 @@ class LsyEpisode:
         referee, rate = self._referee, self._level.env.freq
         notes = list(referee.notes)
         success = referee.passed == referee.gates
+        why = lsy_why(reason, self._events, self._error, referee.passed, referee.gates)
         if self._show is not None:
-            self._show.end(referee.steps / rate, reason, success)
+            self._show.end(referee.steps / rate, reason, why, success)
         if reason == CONTROLLER_FINISHED and referee.steps <= _QUICK:
             notes.append(
                 "the controller ended the episode at once: step_callback answers True where it "
@@ -238,4 +252,5 @@ class LsyEpisode:
             error=self._error,
             notes=notes,
             events=self._events,
+            why=why,
         )
