@@ -83,9 +83,10 @@ def draw_track(axis: Any, ground: Ground) -> None:
         axis.plot(*line.T, color=_NOMINAL, lw=2, ls=":")
     for i, line in enumerate(ground.gates):
         axis.plot(*line.T, color=_GATE, lw=4, solid_capstyle="butt")
-        axis.annotate(
-            str(i), line.mean(axis=0), xytext=(6, 6), textcoords="offset points", color=_GATE
-        )
+        # Beyond its end: beside it may lie the place that the level file has.
+        along = line[1] - line[0]
+        place = line[1] + 0.15 * along / max(1e-9, float(np.linalg.norm(along)))
+        axis.annotate(str(i), place, ha="center", va="center", color=_GATE)
     foot = ground.foot
     for place in ground.obstacles:
         axis.add_patch(Circle(place, ground.radius, color=_OBSTACLE))

@@ -17,7 +17,7 @@ from crazyarena.live import COLOUR, POSITION, QUATERNION, SETPOINT, STOP, State,
 from crazyarena.plain_text import shown_line
 from crazyarena.runner.viewer.fleet import Fleet, colours
 from crazyarena.runner.viewer.operator_page import page
-from crazyarena.runner.viewer.server import Rights, connection_of, go_to, look_at
+from crazyarena.runner.viewer.server import Rights, connection_of, frame, go_to, look_at
 from crazyarena.runner.viewer.stage import Stage
 from crazyarena.runner.viewer.sure_button import LOOKS, SureButton
 from crazyarena.runner.viewer.trails import Trails
@@ -76,6 +76,7 @@ class LivePage:
         self._question = ""
         self._confirmed: str | None = None
         self._consoles: dict[int, _Console] = {}
+        self._bounds: tuple[Any, Any] | None = None
         self._lock = threading.Lock()
         server.gui.add_html(_LOOKS + LOOKS, order=0)
         tabs = server.gui.add_tab_group(order=10)
@@ -106,6 +107,9 @@ class LivePage:
         console = _Console(self, client, self._tab)
         with self._lock:
             self._consoles[client.client_id] = console
+            bounds = self._bounds
+        if bounds is not None:
+            frame(client, *bounds)
         if self._rights.without_token(connection_of(self._server, client)):
             console.allow()
         else:
@@ -175,7 +179,14 @@ class LivePage:
 
     def _show_scene(self, scene: dict[str, Any]) -> None:
         self._stage.show(scene)
-        look_at(self._server, *Stage.bounds(scene))
+        bounds = Stage.bounds(scene)
+        look_at(self._server, *bounds)
+        with self._lock:
+            seen = self._bounds is None
+            self._bounds = bounds
+            consoles = list(self._consoles.values()) if seen else []
+        for console in consoles:
+            frame(console.client, *bounds)
 
     def _show_vehicles(self, state: State) -> None:
         rows = state.rows
@@ -224,7 +235,7 @@ class _Console:
 
     def __init__(self, shown: LivePage, client: Any, tab: Any) -> None:
         self._shown = shown
-        self._client = client
+        self.client = client
         self._tab = tab
         self._buttons: list[SureButton] = []
         self._arm: Any = None
@@ -239,7 +250,7 @@ class _Console:
 
     def only_look(self, by_token: bool) -> None:
         """Without rights; the token gives them, if there is one."""
-        gui = self._client.gui
+        gui = self.client.gui
         with self._tab:
             if not by_token:
                 self._gate = [gui.add_html(_READ_ONLY, order=1)]
@@ -268,7 +279,7 @@ class _Console:
 
     def allow(self) -> None:
         """Buttons that stop, land and arm."""
-        gui = self._client.gui
+        gui = self.client.gui
         # Above the tabs: they must never be looked for.
         self._buttons = [
             SureButton(gui, _STOP_LABEL, _RED, "S", 1, lambda: self._send(land=False)),
@@ -299,7 +310,7 @@ class _Console:
             self._say("Armed", "the countdown begins", "green")
 
     def _say(self, title: str, text: str, colour: Any) -> None:
-        self._client.add_notification(title, text, color=colour, auto_close_seconds=8.0)
+        self.client.add_notification(title, text, color=colour, auto_close_seconds=8.0)
 
     def update(self, control: bool, question: str, alarm: bool = False) -> None:
         """Buttons follow what the flight can."""
