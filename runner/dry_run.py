@@ -128,9 +128,7 @@ class DryRun:
         self._wanted_out = out
         self._report_wanted = report
         self._record = record
-        self._pictures = Pictures(
-            Figures.of(figure), self._episodes, self._level, not self._controlled
-        )
+        self._pictures = Pictures(Figures.of(figure), self._episodes, not self._controlled)
         self._console = console if console is not None else Console()
         self._preflight: FlightChecklist | None = None
 
@@ -483,9 +481,8 @@ class DryRun:
         if self._on_episode is not None:
             self._on_episode(result, recorder, track)
         if self._pictures.wanted and recorder is not None:
-            gates = self.entry.drawn(track.gates)
-            isolated = self._flown.isolated
-            self._pictures.add(self.out, result, recorder, gates, track.obstacles, isolated)
+            ground = self.entry.ground(track.gates, track.obstacles)
+            self._pictures.add(self.out, result, recorder, ground, self._flown.isolated)
         self._flown.episodes.append(result)
         document = result_document(self._flown, self._origin, finished=False)
         self._results.add(result.as_dict(), document)

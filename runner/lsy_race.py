@@ -316,8 +316,8 @@ def race_table(outcome: RaceOutcome) -> Any:
     view = Table(box=box.SIMPLE, header_style="bold", collapse_padding=True, pad_edge=False)
     view.add_column("#", justify="right")
     view.add_column("drone", justify="right")
-    for name in ("controller", "termination"):
-        view.add_column(name, no_wrap=True)
+    view.add_column("controller", no_wrap=True)
+    view.add_column("outcome", overflow="fold")
     for name in ("place", "time s", "gates", "compute ms\np50/max"):
         view.add_column(name, justify="right", no_wrap=True)
     for r in outcome.results:
@@ -326,7 +326,7 @@ def race_table(outcome: RaceOutcome) -> Any:
             str(r.index),
             str(r.drone),
             escape(shown_line(r.controller)),
-            f"[{style}]{escape(shown_line(r.termination))}[/{style}]",
+            f"[{style}]{escape(shown_line(r.why or r.termination))}[/{style}]",
             "" if r.place is None else str(r.place),
             f"{r.time:.2f}",
             f"{r.gates_passed}/{r.gates}",

@@ -36,8 +36,11 @@ from crazyarena.runner.judging.result import (
     CONTROLLER_TIMEOUT,
     INTERRUPTED,
 )
+from crazyarena.runner.records.ground import lsy_ground
 from crazyarena.runner.records.lsy_scene import lsy_scene
 from crazyarena.runner.records.outcome_table import computing
+from crazyarena.runner.records.pages.write import leave_page
+from crazyarena.runner.records.pictures import Figures, Pictures
 from crazyarena.runner.records.recorder import SINCE, Recorder
 from crazyarena.runner.records.report import machine, versions
 from crazyarena.runner.records.run_folder import ResultFile, run_folder
@@ -130,7 +133,11 @@ class LsyRun:
         on_episode: Callable[[LsyEpisodeResult, Recorder | None, LsyDraw], None] | None = None,
         view: ViewOptions | None = None,
         pace: float = 1.0,
+        figure: Figures | bool | str = False,
+        report: bool = False,
     ) -> None:
+        self._figure, self._report = Figures.of(figure), report
+        self._told: list[tuple[str, str | None]] = []
         self._wanted_view, self._pace = view, pace
         self._view: View | None = None
         self._show: LsyShowing | None = None
@@ -154,6 +161,7 @@ class LsyRun:
         self._keep = keep
         self._path = submission.expanduser()
         self._file_of_results: ResultFile | None = None
+        self._pictures = Pictures(Figures.NONE, 0, False)
         self._cut_short: str | None = None
         self._record = record
         self.isolated = False
@@ -166,6 +174,7 @@ class LsyRun:
         try:
             return self._run()
         except BaseException:
+            self._pictures.close()
             if self._view is not None:
                 self._view.close()
             raise
@@ -202,6 +211,8 @@ class LsyRun:
         if self.out is not None or self._keep:
             self.out = run_folder(self.out, self._path, level.name)
             self._file_of_results = ResultFile(self.out, self._document(outcome, None, False))
+            self._pictures = Pictures(self._figure, self._episodes, True)
+            self._pictures.begin()
         try:
             with contextlib.ExitStack() as stack:
                 contestant = self._contestant(stack)
@@ -229,7 +240,26 @@ class LsyRun:
             raise
         if self._file_of_results is not None:
             self._file_of_results.finish(self._document(outcome, contestant, True))
+            self._drawn(outcome, contestant)
         return outcome
+
+    def _drawn(self, outcome: LsyResult, contestant: LsyContestant) -> None:
+        """Write the report while the rest is drawn, then wait for that."""
+        assert self.out is not None
+        assert self._file_of_results is not None
+        self._pictures.end(self.out, self.isolated)
+        said = [leave_page(self.out)] if self._report else []
+        drawn = self._pictures.finish()
+        for reason in self._pictures.refused[:1]:
+            outcome.cut_short = outcome.cut_short or reason
+        self._told = [*((line, None) for line in self._pictures.told(drawn)), *said]
+        if drawn:
+            self._file_of_results.finish(self._document(outcome, contestant, True))
+
+    @property
+    def told(self) -> list[tuple[str, str | None]]:
+        """What is said of pictures and report once it has run: lines and their styles."""
+        return list(self._told)
 
     def _contestant(self, stack: contextlib.ExitStack) -> LsyContestant:
         model = self.level.sim.drone_model
@@ -259,7 +289,8 @@ class LsyRun:
         draw: LsyDraw,
     ) -> LsyEpisodeResult:
         kept = self._record and self.out is not None
-        recorder = self._recorder(index, draw) if kept or self._on_episode is not None else None
+        wanted = kept or self._on_episode is not None or self._pictures.wanted
+        recorder = self._recorder(index, draw) if wanted else None
         try:
             episode = LsyEpisode(
                 index,
@@ -280,6 +311,10 @@ class LsyRun:
             result.files["recording"] = recorder.file.name
         if self._on_episode is not None:
             self._on_episode(result, recorder, draw)
+        if self._pictures.wanted and recorder is not None:
+            assert self.out is not None
+            ground = lsy_ground(self.level, draw.gates, draw.nominal_gates, draw.obstacles)
+            self._pictures.add(self.out, result, recorder, ground, self.isolated)
         return result
 
     def _recorder(self, index: int, draw: LsyDraw) -> Recorder:
@@ -300,7 +335,8 @@ class LsyRun:
             "isolated": self.isolated,
             "contract": "lsy_drone_racing",
             **summary(result),
-            "episodes": [asdict(episode) for episode in result.episodes],
+            # While it flies they are added one by one.
+            "episodes": [asdict(episode) for episode in result.episodes] if finished else [],
             "provenance": {
                 "versions": versions(),
                 "machine": machine(),
@@ -376,14 +412,14 @@ def lsy_table(result: LsyResult) -> Any:
 
     view = Table(box=box.SIMPLE, header_style="bold", collapse_padding=True, pad_edge=False)
     view.add_column("#", justify="right")
-    view.add_column("termination", no_wrap=True)
+    view.add_column("outcome", overflow="fold")
     for name in ("time s", "gates", "compute ms\np50/max"):
         view.add_column(name, justify="right", no_wrap=True)
     for e in result.episodes:
         style = "green" if e.success else "red"
         view.add_row(
             str(e.index),
-            f"[{style}]{escape(shown_line(e.termination))}[/{style}]",
+            f"[{style}]{escape(shown_line(e.why or e.termination))}[/{style}]",
             f"{e.time:.2f}",
             f"{e.gates_passed}/{e.gates}",
             computing(e.compute_ms),

@@ -18,7 +18,7 @@ from crazyarena.runner.cli.common import (
 from crazyarena.runner.cli.options.figure import figure_choice
 from crazyarena.runner.cli.options.flight import Sandbox, flight_options
 from crazyarena.runner.cli.options.groups import takes
-from crazyarena.runner.cli.options.report import Report, leave_report
+from crazyarena.runner.cli.options.report import Report
 from crazyarena.runner.cli.options.vehicle import VehicleSpread, vehicle_choice
 from crazyarena.runner.cli.options.view import view_options
 from crazyarena.runner.cli.race import flew_race
@@ -144,6 +144,7 @@ def dry_run(
             view(),
             drawn,
             report,
+            figure,
             view_speed,
         ):
             return
@@ -216,6 +217,7 @@ def _flew_lsy(
     view: ViewOptions | None,
     drawn: LoadedDraw | None = None,
     report: bool = True,
+    figure: str = "auto",
     pace: float = 1.0,
 ) -> bool:
     """Fly a controller of lsy_drone_racing, told by its file; False if this is none."""
@@ -276,6 +278,8 @@ def _flew_lsy(
         seeds=None if drawn is None else drawn.seeds,
         view=view,
         pace=pace,
+        figure=figure,
+        report=report,
     )
     result = run.run()
     tell(result, console)
@@ -284,8 +288,8 @@ def _flew_lsy(
     told = "The seed is secret" if options.secret else f"Seed {result.seed}"
     where = shown_line(str(run.out))
     console.print(f"{told}. Results in {where}", highlight=False, markup=False, soft_wrap=True)
-    if report and run.out is not None:
-        leave_report(run.out, console)
+    for line, style in run.told:
+        console.print(line, style=style, markup=False, highlight=False, soft_wrap=True)
     run.finish()
     if result.cut_short is not None:
         raise StorageError(result.cut_short)

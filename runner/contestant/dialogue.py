@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from crazyarena.errors import InputError
 from crazyarena.levels.schema import Level
 from crazyarena.runner.contestant.contract_2022.command_check import Asked
+from crazyarena.runner.contestant.contract_lsy.dialogue import Drawing
 from crazyarena.runner.contestant.interrupt import Interrupt
 
 Array = NDArray[np.float64]
@@ -68,6 +69,7 @@ class Answer:
     what was wrong with its answer. seconds: from question to answer, as the asker measured it;
     command_seconds, learn_seconds: of the two calls, as the asker measured them; 0.0 for one that
     was not made. timed_out: it did not come in the wall time allowed; ``error`` says so.
+    drawings: all that the controller has drawn, if that has changed.
     """
 
     step: int
@@ -77,6 +79,7 @@ class Answer:
     command_seconds: float = 0.0
     learn_seconds: float = 0.0
     timed_out: bool = False
+    drawings: list[Drawing] | None = None
 
 
 class Contestant(Protocol):

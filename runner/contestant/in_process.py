@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from crazyarena.errors import CommandError, InputError
 from crazyarena.levels.schema import Level
 from crazyarena.runner.contestant.contract_2022.command_check import checked
+from crazyarena.runner.contestant.contract_2022.drawn import DRAWN
 from crazyarena.runner.contestant.contract_2022.info import Canvas, initial_info
+from crazyarena.runner.contestant.contract_lsy.dialogue import Drawing
 from crazyarena.runner.contestant.dialogue import Answer, Question, told_parameters
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.contestant.prints import PrintsShown
@@ -37,6 +39,7 @@ class Pilot:
         self.learns = False
 
     def make(self, obs: list[Any], level: Level, start: Array) -> None:
+        DRAWN.clear()
         info = initial_info(level, self._canvas, start)
         if parameters := told_parameters():
             info["parameters"] = parameters
@@ -67,9 +70,15 @@ class Pilot:
                 asked = checked(returned, question.step)
             else:
                 done = learned
-            return Answer(
+            answer = Answer(
                 question.step, asked, None, done - started, done - learned, learned - started
             )
+            if (items := DRAWN.news(question.step)) is not None:
+                answer.drawings = [
+                    Drawing(kind, np.array(points), (*colour, 1.0), size)
+                    for kind, points, colour, size in items
+                ]
+            return answer
         except CommandError as error:
             text = str(error)
         except (KeyboardInterrupt, TimeIsUp):

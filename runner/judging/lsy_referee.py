@@ -7,7 +7,7 @@ the drone's box with the measured track, on its back, or after 1500 steps.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -44,7 +44,6 @@ class LsyTrialReferee:
         self._box = np.zeros(SOLID_SIZE)
         self._row = np.zeros(vd.SIZE)
         self._verdict: Verdict | None = None
-        self._told = 0
 
     def begin(
         self, gates: Array, obstacles: Array, follow: Callable[[float], Array] | None = None
@@ -75,7 +74,6 @@ class LsyTrialReferee:
             nominal[1][:, :3],
             None,  # type: ignore[arg-type]
         )
-        self._told = 0
         return self._rules.begin(draw, state)
 
     def warm_up(self, state: Array) -> None:
@@ -114,10 +112,7 @@ class LsyTrialReferee:
             **self._of_gate(gate, said.obs),
         }
         verdict.row = self._written(last, verdict)
-        verdict.events = [
-            *(Event(e.name, self.ticks, e.time, e.detail) for e in said.events),
-            *self._news(float(last[TR_TIME])),
-        ]
+        verdict.events = [Event(e.name, self.ticks, e.time, e.detail) for e in said.events]
         return verdict
 
     def _contact(self, row: Array) -> float:
@@ -149,11 +144,6 @@ class LsyTrialReferee:
         row[vd.VD_IN_RANGE] = verdict.info["current_target_gate_in_range"]
         return row
 
-    def _news(self, time: float) -> Sequence[Event]:
-        """Notes of the rules that nobody was told of yet."""
-        notes, self._told = self._rules.notes[self._told :], len(self._rules.notes)
-        return [Event("note", self.ticks, time, note) for note in notes]
-
     def reason(self, verdict: Verdict) -> str:
         """Why an episode that is done has ended."""
         return str(verdict.info["reason"])
@@ -166,18 +156,3 @@ class LsyTrialReferee:
     @property
     def gates_passed(self) -> int:
         return self._rules.passed
-
-
-def lsy_why(
-    reason: str, events: Sequence[Event], error: str | None, passed: int, gates: int
-) -> str:
-    """Why an episode ended, in one line."""
-    if error:
-        return f"{reason}: {error.strip().splitlines()[-1].strip()}"
-    told = next((e for e in reversed(events) if e.name == "note"), None)
-    if reason == COLLISION and told is not None:
-        return f"{reason}: {told.detail}"
-    if reason != GATES_PASSED and passed < gates:
-        last = events[-1].time if events else 0.0
-        return f"{reason}: {passed} of {gates} gates at {last:.2f} s"
-    return reason

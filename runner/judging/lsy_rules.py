@@ -1,11 +1,15 @@
 """The rules of lsy_drone_racing, at the rate of its environment, and ours beside them.
 
+Gates and obstacles are counted from 0, as its observations do.
+
 Theirs decide: what is looked at is the state at the end of a step. Ours look at every physics
 tick and at the real race, and only say where they would have decided otherwise.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from crazyarena.levels.lsy.draw import LsyDraw
 from crazyarena.levels.lsy.schema import MAX_STEPS, LsyLevel
+from crazyarena.sim_backend.physics.successor_scene import GATE_OUTSIDE
 from crazyarena.sim_backend.trace import (
     TR_CONTACT,
     TR_OMEGA,
@@ -36,6 +41,7 @@ BOUNDS = (np.array([-3.0, -3.0, 0.0]), np.array([3.0, 3.0, 2.5]))
 _ON_PLATFORM = 0.02  # m from the start, in x and in y
 GONE = np.full(3, -1.0)
 """Where a drone is put that is out, m."""
+_BAR = 0.08  # m, beyond the outside of a gate that is still its bars: half of the drone
 
 GATES_PASSED, COLLISION, OUT_OF_BOUNDS, FLOOR = (
     "GATES PASSED",
@@ -45,6 +51,10 @@ GATES_PASSED, COLLISION, OUT_OF_BOUNDS, FLOOR = (
 )
 TIME_LIMIT = "TIME LIMIT"
 SAFETY_LIMITS, TUMBLED = "SAFETY LIMITS", "TUMBLED"
+
+
+# As the referee of 2022 calls them.
+VIOLATED, SATISFIED = "constraint violated", "constraint satisfied again"
 
 
 @dataclass(slots=True)
@@ -99,7 +109,9 @@ class LsyReferee:
         self._left_limits = self._touched_between = False
         self._gates_seen = np.zeros(len(draw.gates), bool)
         self._obstacles_seen = np.zeros(len(draw.obstacles), bool)
-        self._look(state[:3])
+        self._touching = -1
+        self._outside = ""
+        self._found = self._look(state[:3])
         return self._obs(state)
 
     @property
@@ -111,10 +123,13 @@ class LsyReferee:
         """Judge the ticks (k, TRACE_SIZE) of a step."""
         row = rows[-1]
         place = row[TR_POS : TR_POS + 3]
-        time, events = float(row[TR_TIME]), list[LsyEvent]()
+        time = float(row[TR_TIME])
+        self._found += self._look(place)
+        events = [LsyEvent(time, *found) for found in self._found]
+        self._found.clear()
+        events += self._contacts(rows)
         reason = self._disabled(row)
-        self._look(place)
-        self._compare(rows, reason)
+        self._compare(rows, reason, events)
         if reason is None and self.passed < self.gates:
             crossing = self._crossing(self._last, place)
             if crossing is not None:
@@ -122,16 +137,17 @@ class LsyReferee:
                 number = int(self._sequence[self.passed])
                 self.passed += 1
                 self.gate_times.append(time)
-                events.append(LsyEvent(time, "gate passed", f"gate {number + 1}"))
+                events.append(LsyEvent(time, "gate passed", f"gate {number}"))
                 if max(abs(y), abs(z)) > OPENING / 2:
                     self.notes.append(
-                        f"gate {number + 1} counted at {y:+.3f} m, {z:+.3f} m from its centre: "
+                        f"gate {number} counted at {y:+.3f} m, {z:+.3f} m from its centre: "
                         f"outside of its opening of {OPENING:g} m"
                     )
+                    events.append(LsyEvent(time, "note", self.notes[-1]))
         self.steps += 1
         truncated = self.steps >= MAX_STEPS
         if reason is not None:
-            events.append(LsyEvent(time, reason.lower()))
+            events.append(LsyEvent(time, reason.lower(), self._where_out(reason, place)))
         elif truncated:
             reason = TIME_LIMIT
         self._last = place.copy()
@@ -154,8 +170,6 @@ class LsyReferee:
         that the last pass ends the run one step later."""
         place = row[TR_POS : TR_POS + 3]
         if row[TR_CONTACT] >= 0.0:
-            what = self._named(int(row[TR_CONTACT]))
-            self.notes.append(f"touched {what} at {row[TR_TIME]:.3f} s")
             return COLLISION
         if self._real:
             return self._ended_for_real(row)
@@ -165,14 +179,6 @@ class LsyReferee:
         if (place[:2] < low[:2]).any() or (place > high).any():
             return OUT_OF_BOUNDS
         return GATES_PASSED if self.passed == self.gates else None
-
-    def _named(self, code: int) -> str:
-        """What was touched; the drones of a race come behind gates and obstacles."""
-        gates, obstacles = len(self._draw.gates), len(self._draw.obstacles)
-        if code < gates:
-            return f"gate {code + 1}"
-        code -= gates
-        return f"obstacle {code + 1}" if code < obstacles else f"drone {code - obstacles}"
 
     def _ended_for_real(self, row: Array) -> str | None:
         place = row[TR_POS : TR_POS + 3]
@@ -184,14 +190,68 @@ class LsyReferee:
             return SAFETY_LIMITS
         return GATES_PASSED if self.passed == self.gates else None
 
-    def _look(self, place: Array) -> None:
-        for seen, objects in (
-            (self._gates_seen, self._draw.gates),
-            (self._obstacles_seen, self._draw.obstacles),
+    def _contacts(self, rows: Array) -> list[LsyEvent]:
+        """Contacts that begin or end at one of these ticks."""
+        codes = rows[:, TR_CONTACT]
+        if self._touching < 0 and not (codes >= 0.0).any():
+            return []
+        events = []
+        for row in rows:
+            code, time = int(row[TR_CONTACT]), float(row[TR_TIME])
+            if code == self._touching:
+                continue
+            if self._touching >= 0:
+                events.append(LsyEvent(time, "contact ended", self._named(self._touching)))
+            if code >= 0:
+                events.append(LsyEvent(time, "contact", self._touched(row)))
+            self._touching = code
+        return events
+
+    def _named(self, code: int) -> str:
+        """What is touched; the drones of a race come behind gates and obstacles."""
+        gates, obstacles = len(self._draw.gates), len(self._draw.obstacles)
+        if code < gates:
+            return f"gate {code}"
+        code -= gates
+        return f"obstacle {code}" if code < obstacles else f"drone {code - obstacles}"
+
+    def _touched(self, row: Array) -> str:
+        """What is touched at a tick; of a gate the part, as seen by who flies through."""
+        code = int(row[TR_CONTACT])
+        name = self._named(code)
+        if code >= len(self._draw.gates):
+            return name
+        turn = self._turns[code]
+        _, y, z = turn @ (row[TR_POS : TR_POS + 3] - self._draw.gates[code, :3])
+        if z < -(GATE_OUTSIDE / 2 + _BAR):
+            return f"{name} (stand)"
+        if abs(z) > abs(y):
+            side, far = ("above", z) if z > 0.0 else ("below", -z)
+            return f"{name} ({'top' if z > 0.0 else 'bottom'} bar, {far:.2f} m {side} its centre)"
+        ahead = math.copysign(1.0, float((turn @ row[TR_VEL : TR_VEL + 3])[0]))
+        side = "left" if y * ahead > 0.0 else "right"
+        return f"{name} ({side} bar, {abs(y):.2f} m {side} of its centre)"
+
+    def _where_out(self, reason: str, place: Array) -> str:
+        if reason == OUT_OF_BOUNDS:
+            return _beyond(place, *BOUNDS)
+        return _beyond(place, *self._limits) if reason == SAFETY_LIMITS else ""
+
+    def _look(self, place: Array) -> list[tuple[str, str]]:
+        """Look around; names and details of what is seen for the first time."""
+        found = []
+        for what, seen, objects in (
+            ("gate", self._gates_seen, self._draw.gates),
+            ("obstacle", self._obstacles_seen, self._draw.obstacles),
         ):
-            if len(objects):
-                offset = objects[:, :2] - place[:2]
-                seen |= (offset * offset).sum(axis=1) < self._range**2
+            if seen.all():
+                continue
+            offset = objects[:, :2] - place[:2]
+            near = ((offset * offset).sum(axis=1) < self._range**2) & ~seen
+            if near.any():
+                seen |= near
+                found += [(f"{what} seen", f"{what} {k}") for k in np.flatnonzero(near)]
+        return found
 
     def _crossing(self, before: Array, after: Array) -> tuple[float, float] | None:
         """Where (m, in the gate's plane) the way between two places passes the next gate."""
@@ -206,7 +266,7 @@ class LsyReferee:
         half = WINDOW / 2
         return (float(y), float(z)) if abs(y) < half and abs(z) < half else None
 
-    def _compare(self, rows: Array, reason: str | None) -> None:
+    def _compare(self, rows: Array, reason: str | None, events: list[LsyEvent]) -> None:
         """Note where a look at every tick, or the real race, would have decided otherwise."""
         codes = rows[:, TR_CONTACT]
         if reason is None and not self._touched_between and (codes >= 0.0).any():
@@ -216,14 +276,23 @@ class LsyReferee:
                 f"touched something at {first[TR_TIME]:.3f} s, between two looks of the referee: "
                 "a collision by every tick"
             )
-        if not self._left_limits and not self._real:
+        if not self._real:
             places = rows[:, TR_POS : TR_POS + 3]
             low, high = self._limits
             # The floor below the start is no way out.
             out = (places[:, :2] < low[:2]).any(axis=1) | (places > high).any(axis=1)
-            if out.any():
+            if not out.any():
+                if self._outside:
+                    satisfied = LsyEvent(float(rows[-1, TR_TIME]), SATISFIED, self._outside)
+                    events.append(satisfied)
+                    self._outside = ""
+                return
+            first = rows[int(np.argmax(out))]
+            if not self._outside:
+                self._outside = _beyond(first[TR_POS : TR_POS + 3], low, high)
+                events.append(LsyEvent(float(first[TR_TIME]), VIOLATED, self._outside))
+            if not self._left_limits:
                 self._left_limits = True
-                first = rows[int(np.argmax(out))]
                 where = ", ".join(f"{v:.2f}" for v in first[TR_POS : TR_POS + 3])
                 self.notes.append(
                     f"left the safety limits at {first[TR_TIME]:.2f} s, at [{where}] m: a real "
@@ -252,3 +321,30 @@ class LsyReferee:
             "gate_sequence": self._sequence.astype(np.int32),
             "gate_sequence_direction": self._direction.astype(np.int32),
         }
+
+
+def _beyond(place: Array, low: Array, high: Array) -> str:
+    """The first limit that a place is beyond; the floor is none."""
+    for k, axis in enumerate("xyz"):
+        if place[k] > high[k]:
+            return f"{axis} above {high[k]:g} m"
+        if k < 2 and place[k] < low[k]:
+            return f"{axis} below {low[k]:g} m"
+    return ""
+
+
+def lsy_why(reason: str, events: Sequence[Any], error: str | None, passed: int, gates: int) -> str:
+    """Why an episode ended, in one line; events have ``time``, ``name`` and ``detail``."""
+    if error:
+        return f"{reason}: {error.strip().splitlines()[-1].strip()}"
+    last = events[-1].time if events else 0.0
+    if reason == COLLISION:
+        touched = next((e for e in reversed(events) if e.name == "contact"), None)
+        if touched is not None:
+            return f"{reason} with {touched.detail} at {touched.time:.2f} s"
+    out = next((e for e in reversed(events) if e.name == reason.lower() and e.detail), None)
+    if out is not None:
+        return f"{reason}: {out.detail} at {out.time:.2f} s, {passed} of {gates} gates"
+    if reason != GATES_PASSED and passed < gates:
+        return f"{reason}: {passed} of {gates} gates at {last:.2f} s"
+    return reason

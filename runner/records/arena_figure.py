@@ -60,9 +60,9 @@ def save_arena(path: Path, level: Level, fence: Fence, height: float) -> None:
             view.axhline(height, color="0.4", lw=0.8, ls=":")
             low, high = fence.bounds[0][2], fence.bounds[1][2]
             for z in (low, high):
-                view.annotate(f"{z:g} m", (grid[a][-1], z), fontsize=8, color="0.3", xytext=(3, 0),
-                              textcoords="offset points", va="center",
-                              annotation_clip=False)  # fmt: skip
+                view.annotate(f"{z:g} m", (1.0, z), xycoords=("axes fraction", "data"),
+                              xytext=(5, 0), textcoords="offset points", va="center", fontsize=8,
+                              color="0.3", annotation_clip=False)  # fmt: skip
         view.set_xlabel(f"{across} [m]")
         view.set_ylabel(f"{up} [m]")
         view.set_title(f"all of {through}, from {_side(through)}", fontsize=10)

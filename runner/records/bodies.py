@@ -85,7 +85,11 @@ def opening(entity: Mapping[str, Any]) -> tuple[Array, float] | None:
     return centre, float(min(bar.distance(centre)[0] for bar in bars))
 
 
-def gate_openings(entities: Iterable[Mapping[str, Any]]) -> list[tuple[Array, float]]:
-    """Openings of the gates of a track, in their order."""
-    gates = (entity for entity in entities if str(entity.get("id", "")).startswith("gate "))
-    return [found for found in map(opening, gates) if found is not None]
+def gate_openings(entities: Iterable[Mapping[str, Any]]) -> dict[str, tuple[Array, float]]:
+    """Openings of the gates of a track by their names, in their order."""
+    found = {}
+    for entity in entities:
+        name = str(entity.get("id", ""))
+        if name.startswith("gate ") and (hole := opening(entity)) is not None:
+            found[name] = hole
+    return found

@@ -9,7 +9,8 @@ import numpy as np
 from crazyarena import whole_file
 from crazyarena.plain_text import unmarked
 from crazyarena.runner.records.compare import Comparison
-from crazyarena.runner.records.figure import draw_track, gate_line
+from crazyarena.runner.records.figure import draw_track
+from crazyarena.runner.records.ground import gate_line, ground_of
 
 COLOURS = ("tab:blue", "tab:red")
 
@@ -92,8 +93,8 @@ def _arena(axis: object, comparison: Comparison) -> None:
     if not courses:
         return
     first = courses[0]
-    draw_track(axis, first.level, first.gates, first.obstacles)
+    draw_track(axis, ground_of(first.level, first.gates, first.obstacles))
     for course in courses[1:]:
         if len(course.gates) != len(first.gates) or not np.allclose(course.gates, first.gates):
             for row in course.gates:
-                axis.plot(*gate_line(row), color="tab:cyan", lw=2, alpha=0.6)  # type: ignore[attr-defined]
+                axis.plot(*gate_line(row).T, color="tab:cyan", lw=2, alpha=0.6)  # type: ignore[attr-defined]

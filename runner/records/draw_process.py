@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from crazyarena.errors import StorageError
-from crazyarena.runner.records.figure import Picture, save_figure
+from crazyarena.runner.records.figure import save_figure
+from crazyarena.runner.records.picture import Picture
 from crazyarena.runner.records.sheet import save_sheet
 
 

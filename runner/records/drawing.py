@@ -10,10 +10,11 @@ import json
 import os
 import pickle
 import queue
+import re
 import subprocess
 import sys
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import IO, Any
@@ -23,9 +24,11 @@ import crazyarena
 _PROGRAM = """import sys; sys.path.append(sys.argv[1])
 from crazyarena.runner.records.draw_process import main; main()"""
 MANY = 10
-"""Episodes that are all drawn; of more, the first and failures, and a contact sheet of all."""
+"""Episodes that are all drawn; of more, the first, the first failure of each kind, and a contact
+sheet of all."""
 FAILED = 4
 """Failures that are drawn of more; they may all be as short as a fall."""
+_MEASURED = re.compile(r"[-+]?\d+\.\d+")
 SHEET = "episodes.png"
 
 
@@ -53,10 +56,14 @@ class Choice:
     episodes: int
     _drawn: int = 0
     _asked: int = 0
+    _kinds: set[str] = field(default_factory=set)
 
-    def __call__(self, clean: bool) -> bool:
-        """Whether to draw the next episode."""
+    def __call__(self, clean: bool, why: str = "") -> bool:
+        """Whether to draw the next episode, which ended for a reason: those that differ in times
+        and distances alone are of one kind."""
         self._asked += 1
+        kind = _MEASURED.sub("", why)
+        new = not clean and kind not in self._kinds
         if self.wanted is Figures.NONE:
             return False
         if self.wanted is Figures.FAILURES:
@@ -64,8 +71,10 @@ class Choice:
         elif self.wanted is Figures.ALL or self.episodes <= MANY:
             yes = True
         else:
-            yes = self._drawn == 0 or (not clean and self._drawn <= FAILED)
+            yes = self._drawn == 0 or (new and self._drawn <= FAILED)
         self._drawn += yes
+        if yes and not clean:
+            self._kinds.add(kind)
         return yes
 
     @property

@@ -22,8 +22,13 @@ _COURSE = frozenset(
         "phase",
         "gate seen again",
         "gate name corrected",
+        "gate seen",
+        "obstacle seen",
+        "gates passed",
+        "collision",  # the contact is told
     )
 )
+_VIOLATIONS = frozenset(("constraint violated", "out of bounds", "safety limits", "floor"))
 _LATE = frozenset(("deadline missed", "late command"))
 _BRIEF = 0.05  # s; a rotor beyond its limits for less, as at every start, breaks no rule
 _GROUPED = 0.5  # s; the same thing again within this time is one mark
@@ -80,6 +85,6 @@ def _parts(event: Any) -> tuple[str, float, str]:
 def _kind(name: str) -> str:
     if name == "contact":
         return "contact"
-    if name == "constraint violated":
+    if name in _VIOLATIONS:
         return "violation"
     return "late" if name in _LATE else "safety"

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from crazyarena.levels.schema import Level
 from crazyarena.plain_text import shown_line
 from crazyarena.runner.judging.referee import (
     COLLISION,
@@ -22,17 +19,15 @@ from crazyarena.runner.judging.result import (
     CONTROLLER_ERROR,
     CONTROLLER_TIMEOUT,
     SAFETY,
-    EpisodeResult,
 )
 from crazyarena.runner.records.drawing import SHEET, Choice, Drawer, Figures
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.sim_backend.trace import TR_POS
 
 if TYPE_CHECKING:
-    from crazyarena.runner.records.figure import Picture
+    from crazyarena.runner.records.ground import Ground
+    from crazyarena.runner.records.picture import Outcome, Picture
     from crazyarena.runner.records.sheet import Tile
-
-Array = NDArray[np.float64]
 
 # On a tile there is room for a word.
 _SHORT = {
@@ -44,6 +39,13 @@ _SHORT = {
     CONTROLLER_ERROR: "error",
     CONTROLLER_TIMEOUT: "too slow",
     SAFETY: "safety",
+    # Of lsy_drone_racing.
+    "GATES PASSED": "touched",
+    "OUT OF BOUNDS": "out",
+    "SAFETY LIMITS": "out",
+    "FLOOR": "floor",
+    "TIME LIMIT": "too long",
+    "CONTROLLER FINISHED": "gave up",
 }
 
 
@@ -56,13 +58,13 @@ class Pictures:
         a flight.
     """
 
-    def __init__(self, wanted: Figures, episodes: int, level: Level, meanwhile: bool) -> None:
+    def __init__(self, wanted: Figures, episodes: int, meanwhile: bool) -> None:
         self._choice = Choice(wanted, episodes)
-        self._level = level
+        self._ground: Ground | None = None
         self._meanwhile = meanwhile
-        self._waiting: list[tuple[EpisodeResult, Picture]] = []
+        self._waiting: list[tuple[Outcome, Picture]] = []
         self._tiles: list[Tile] = []
-        self._files: dict[Path, EpisodeResult | None] = {}
+        self._files: dict[Path, Outcome | None] = {}
         self._drawer = Drawer()
 
     @property
@@ -78,14 +80,13 @@ class Pictures:
     def add(
         self,
         out: Path,
-        result: EpisodeResult,
+        result: Outcome,
         recorder: Recorder,
-        gates: Array,
-        obstacles: Array,
+        ground: Ground,
         isolated: bool,
     ) -> None:
-        """An episode has been flown past gates (n, 7) and obstacles (m, 6)."""
-        from crazyarena.runner.records.figure import picture
+        """An episode has been flown over this ground."""
+        from crazyarena.runner.records.picture import picture
         from crazyarena.runner.records.sheet import tile
 
         states = recorder.states
@@ -93,15 +94,14 @@ class Pictures:
             told = "done" if result.clean else _SHORT.get(result.termination, "failed")
             text = f"{told} {result.flight_time:.1f} s"
             position = states[:, TR_POS : TR_POS + 3]
-            self._tiles.append(tile(result.index, result.clean, text, position, gates))
-        if not self._choice(result.clean):
+            self._tiles.append(tile(result.index, result.clean, text, position, ground.gates))
+            self._ground = self._ground or replace(ground, arena=None)
+        if not self._choice(result.clean, result.why or result.termination):
             return
         shown = picture(
-            self._level,
+            ground,
             result,
             states,
-            gates,
-            obstacles,
             entities=recorder.first_scene.get("entities"),
             commanded_from=recorder.commanded_from,
             isolated=isolated,
@@ -111,7 +111,7 @@ class Pictures:
         else:
             self._waiting.append((result, shown))
 
-    def _draw(self, out: Path, result: EpisodeResult, shown: Picture) -> None:
+    def _draw(self, out: Path, result: Outcome, shown: Picture) -> None:
         file = out / f"episode_{result.index:03d}.png"
         self._files[file] = result
         self._drawer.draw(file, shown)
@@ -123,7 +123,7 @@ class Pictures:
         self._waiting.clear()
         if len(self._tiles) > 1:
             self._files[out / SHEET] = None
-            self._drawer.draw(out / SHEET, self._level, self._tiles, isolated)
+            self._drawer.draw(out / SHEET, self._ground, self._tiles, isolated)
 
     def finish(self) -> list[Path]:
         """Wait until everything is drawn; returns what is, and names it in the results."""

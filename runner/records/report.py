@@ -75,7 +75,8 @@ def result_document(
     result: TrialResult, origin: dict[str, Any], finished: bool = True
 ) -> dict[str, Any]:
     """What ``result.json`` says; ``origin`` is what :func:`provenance` returns, ``finished``
-    False while further episodes are to come."""
+    False while further episodes are to come: those flown are not in it then, for whoever adds one
+    after the other has them already."""
     return {
         "format": FORMAT,
         "finished": finished,
@@ -83,6 +84,6 @@ def result_document(
         "isolated": result.isolated,
         "requested_episodes": result.requested,
         "score": result.score(),
-        "episodes": [episode.as_dict() for episode in result.episodes],
+        "episodes": [episode.as_dict() for episode in result.episodes] if finished else [],
         "provenance": origin,
     }

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crazyarena import whole_file
-from crazyarena.levels.schema import Level
 from crazyarena.plain_text import unmarked
-from crazyarena.runner.records.figure import gate_line
+from crazyarena.runner.records.ground import Ground
 
 Array = NDArray[np.float64]
 
@@ -24,20 +23,20 @@ _GOOD, _BAD = "tab:green", "tab:red"
 
 @dataclass
 class Tile:
-    """An episode on the sheet. path: (n, 2) m; gates: (k, 7) true poses."""
+    """An episode on the sheet. path: (n, 2) m; gates: their ends (2, 2) m from above."""
 
     index: int
     clean: bool
     text: str
     path: Array
-    gates: Array
+    gates: list[Array]
 
 
-def tile(index: int, clean: bool, text: str, position: Array, gates: Array) -> Tile:
+def tile(index: int, clean: bool, text: str, position: Array, gates: list[Array]) -> Tile:
     """Make a tile of an episode's positions (n, 3), which it thins out."""
     few = np.unique(np.linspace(0, max(0, len(position) - 1), _POINTS).astype(int))
     path = position[few, :2] if len(position) else np.empty((0, 2))
-    return Tile(index, clean, text, np.array(path), np.array(gates))
+    return Tile(index, clean, text, np.array(path), gates)
 
 
 def chosen(tiles: Sequence[Tile]) -> list[Tile]:
@@ -46,7 +45,7 @@ def chosen(tiles: Sequence[Tile]) -> list[Tile]:
     return sorted(first, key=lambda t: t.index)
 
 
-def save_sheet(file: Path, level: Level, tiles: Sequence[Tile], isolated: bool = False) -> None:
+def save_sheet(file: Path, ground: Ground, tiles: Sequence[Tile], isolated: bool = False) -> None:
     """Write a PNG: green ways completed cleanly, red ones did not; a cross where they ended."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import LineCollection, PatchCollection
@@ -56,7 +55,7 @@ def save_sheet(file: Path, level: Level, tiles: Sequence[Tile], isolated: bool =
     shown = chosen(tiles)
     across = max(1, math.ceil(math.sqrt(len(shown) * 1.5)))
     down = max(1, math.ceil(len(shown) / across))
-    low, high = np.array(level.arena.low[:2]), np.array(level.arena.high[:2])
+    low, high = np.array(ground.low[:2]), np.array(ground.high[:2])
     size = (high - low) * 1.06
     pitch = size + [0.0, 0.16 * size[1]]
     inches = 1.35
@@ -76,8 +75,7 @@ def save_sheet(file: Path, level: Level, tiles: Sequence[Tile], isolated: bool =
         path = np.clip(each.path, low - 0.03 * (high - low), high + 0.03 * (high - low)) + shift
         ways[colour].append(path)
         boxes.append(Rectangle(corner, *(high - low)))
-        for row in each.gates:
-            bars.append(np.array(gate_line(row)).T + shift)
+        bars += [line + shift for line in each.gates]
         if len(path):
             ends.append((*path[-1], colour))
         axis.text(
@@ -97,7 +95,7 @@ def save_sheet(file: Path, level: Level, tiles: Sequence[Tile], isolated: bool =
     axis.set_aspect("equal", anchor="N")
     axis.axis("off")
     clean = sum(t.clean for t in tiles)
-    title = f"{level.name}: {clean} of {len(tiles)} episodes clean" + (
+    title = f"{ground.name}: {clean} of {len(tiles)} episodes clean" + (
         "" if isolated else " (not isolated)"
     )
     if len(shown) < len(tiles):

@@ -15,7 +15,8 @@ from crazyarena.levels.lsy.arena import ArenaDraws, poles_of, quaternions_of
 from crazyarena.levels.lsy.schema import LsyLevel
 from crazyarena.levels.schema import Level
 from crazyarena.runner.contestant.contract_lsy.dialogue import EPISODE_HOOKS
-from crazyarena.runner.judging.lsy_referee import LsyTrialReferee, lsy_why
+from crazyarena.runner.judging.lsy_referee import LsyTrialReferee
+from crazyarena.runner.judging.lsy_rules import lsy_why
 from crazyarena.runner.judging.referee import Event
 from crazyarena.runner.records.lsy_scene import lsy_scene
 from crazyarena.runner.trial.contract import Array, Draws, Follow

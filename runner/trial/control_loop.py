@@ -20,6 +20,7 @@ from crazyarena.plain_text import shown
 from crazyarena.runner.contestant.compute import Compute, make_waiter
 from crazyarena.runner.contestant.contract_2022.command_check import FINISHED as FINISHED_VERB
 from crazyarena.runner.contestant.contract_2022.command_check import NONE
+from crazyarena.runner.contestant.contract_lsy.dialogue import Drawing
 from crazyarena.runner.contestant.dialogue import Answer, Contestant, Learn, Question
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.judging.referee import Event, Verdict
@@ -75,6 +76,7 @@ class ControlLoop:
     watch: asked at every tick; its verdict ends the run.
     on_verdict: called with every verdict and the time (s) at which it is told.
     on_step: called with the time (s) after every tick.
+    on_drawings: called with all that the contestant has drawn, and the time, when that has changed.
     thought_before: s of wall time that the contestant has taken earlier in the trial.
     """
 
@@ -94,6 +96,7 @@ class ControlLoop:
         watch: Watch | None = None,
         on_verdict: Callable[[Verdict, float], None] = lambda verdict, time: None,
         on_step: Callable[[float], None] | None = None,
+        on_drawings: Callable[[list[Drawing], float], None] = lambda drawings, time: None,
         thought_before: float = 0.0,
     ) -> None:
         budget = deadlines.compute.budget
@@ -113,6 +116,7 @@ class ControlLoop:
         self._watch = watch
         self._on_verdict = on_verdict
         self._on_step = on_step
+        self._on_drawings = on_drawings
         patience = deadlines.max_misses / rate
         self._waiter = make_waiter(contestant, world.clock, deadlines.compute, patience)
         self._scheduler = Scheduler(world.clock, rate)
@@ -266,6 +270,8 @@ class ControlLoop:
             self._learn_seconds += answer.learn_seconds
         self._overruns += answer.seconds * self._rate > 1.0
         self._consecutive = 0
+        if answer.drawings is not None:
+            self._on_drawings(answer.drawings, time)
         if self._watch is not None:
             self._watch.answered()
         if answer.timed_out:

@@ -7,7 +7,6 @@ arena, the contestant, where the track is to stand, what the vehicle must be tol
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +29,7 @@ from crazyarena.runner.trial.contract import Contract, Contract2022
 from crazyarena.runner.trial.options import FlightOptions
 
 if TYPE_CHECKING:
+    from crazyarena.runner.records.ground import Ground
     from crazyarena.runner.trial.site import Site
     from crazyarena.safety.limits import Limits
     from crazyarena.sim_backend.arena_world import AnyTrack
@@ -91,8 +91,8 @@ class Entry(Protocol):
         """What there is to say of the result, in lines."""
         ...
 
-    def drawn(self, gates: np.ndarray) -> np.ndarray:
-        """Gates (n, 7) as figures take them: with the direction they span as yaw."""
+    def ground(self, gates: np.ndarray, obstacles: np.ndarray) -> Ground:
+        """What figures draw a flight over, where gates (n, 7) and obstacles (m, 6) stand."""
         ...
 
 
@@ -142,8 +142,10 @@ class Entry2022:
     def told(self, result: TrialResult, seed: int | str) -> list[str]:
         return [score_line(result), *remarks(result, self.level, seed)]
 
-    def drawn(self, gates: np.ndarray) -> np.ndarray:
-        return gates
+    def ground(self, gates: np.ndarray, obstacles: np.ndarray) -> Ground:
+        from crazyarena.runner.records.ground import ground_of
+
+        return ground_of(self.level, gates, obstacles)
 
 
 class EntryLsy:
@@ -279,10 +281,15 @@ class EntryLsy:
             )
         return [f"{line} (seed {seed})", *notes]
 
-    def drawn(self, gates: np.ndarray) -> np.ndarray:
-        rows = gates.copy()
-        rows[:, 5] += 0.5 * math.pi
-        return rows
+    def ground(self, gates: np.ndarray, obstacles: np.ndarray) -> Ground:
+        from crazyarena.levels.lsy.arena import quaternions_of
+        from crazyarena.runner.records.ground import lsy_ground
+
+        true, track = quaternions_of(gates), self.lsy.env.track
+        # Of a layout that is drawn as a whole no other place is known.
+        rows = np.array([[*gate.pos, *gate.rpy] for gate in track.gates], float).reshape(-1, 6)
+        told = true if track.randomize else quaternions_of(rows)
+        return lsy_ground(self.lsy, true, told, obstacles)
 
 
 def is_lsy(submission: Path | None, level: str | None) -> bool:

@@ -24,7 +24,13 @@ from crazyarena.runner.contestant.contract_lsy.dialogue import (
     Told,
 )
 from crazyarena.runner.judging import verdict_row as vd
-from crazyarena.runner.judging.lsy_rules import GATES_PASSED, LsyEvent, LsyReferee, LsyVerdict
+from crazyarena.runner.judging.lsy_rules import (
+    GATES_PASSED,
+    LsyEvent,
+    LsyReferee,
+    LsyVerdict,
+    lsy_why,
+)
 from crazyarena.runner.judging.result import (
     CONTROLLER_ERROR,
     CONTROLLER_TIMEOUT,
@@ -54,6 +60,7 @@ _QUICK = 3  # steps: one that finishes so soon has most likely forgotten step_ca
 class LsyEpisodeResult:
     """Summary of an episode. Times in s.
 
+    why: the termination with what the referee knows of it.
     time: as lsy_drone_racing counts it: the index of the last step over the rate.
     flight_time: the same with the last step. notes: where our rules, or the real race, would have
     decided otherwise, and hints.
@@ -75,6 +82,12 @@ class LsyEpisodeResult:
     notes: list[str] = field(default_factory=list)
     events: list[LsyEvent] = field(default_factory=list)
     files: dict[str, str] = field(default_factory=dict)
+    why: str = ""
+
+    @property
+    def clean(self) -> bool:
+        """It passed all gates."""
+        return self.success
 
 
 class LsyEpisode:
@@ -188,8 +201,9 @@ class LsyEpisode:
     def _result(self, reason: str, started: float, built: float) -> LsyEpisodeResult:
         referee, rate = self._referee, self._level.env.freq
         success = referee.passed == referee.gates
+        why = lsy_why(reason, self._events, self._error, referee.passed, referee.gates)
         if self._show is not None:
-            self._show.end(referee.steps / rate, reason, success)
+            self._show.end(referee.steps / rate, reason, why, success)
         return LsyEpisodeResult(
             index=self._index,
             termination=reason,
@@ -206,6 +220,7 @@ class LsyEpisode:
             error=self._error,
             notes=[*referee.notes, *hints(reason, referee.steps)],
             events=self._events,
+            why=why,
         )
 
 

@@ -27,7 +27,7 @@ from crazyarena.runner.contestant.contract_lsy.dialogue import (
     Told,
 )
 from crazyarena.runner.judging.lsy_race_rules import RaceReferee, RaceVerdict
-from crazyarena.runner.judging.lsy_rules import TIME_LIMIT, LsyEvent
+from crazyarena.runner.judging.lsy_rules import TIME_LIMIT, LsyEvent, lsy_why
 from crazyarena.runner.judging.result import CONTROLLER_ERROR, INTERRUPTED, percentiles_ms
 from crazyarena.runner.records.recorder import Recorder
 from crazyarena.runner.trial.lsy_episode import (
@@ -155,7 +155,7 @@ class RaceEpisode:
         assert self._show is not None
         told = ", ".join(f"drone {r.drone}: {r.termination}" for r in results)
         last = max(r.steps for r in results) / self._level.env.freq
-        self._show.end(last, told, all(r.success for r in results))
+        self._show.end(last, told, told, all(r.success for r in results))
 
     def _make(self, obs: Observation) -> None:
         failed: list[CrazyarenaError] = []
@@ -313,6 +313,7 @@ class RaceEpisode:
                     error=flown.error,
                     notes=[*referee.notes, *hints(reason, referee.steps)],
                     events=flown.events,
+                    why=lsy_why(reason, flown.events, flown.error, referee.passed, referee.gates),
                     drone=drone,
                     controller=self._names[drone],
                 )

@@ -98,9 +98,9 @@ class LsyShowing:
         if self._wall.now() - self._published >= _PERIOD:
             self._publish()
 
-    def end(self, time: float, termination: str, success: bool) -> None:
-        """The episode is over."""
-        self._facts["why"] = shown(termination)
+    def end(self, time: float, termination: str, why: str, success: bool) -> None:
+        """The episode is over; ``why`` says more of its termination."""
+        self._facts["why"] = shown(why)
         self._facts["phase"] = (Phase.COMPLETE if success else Phase.FAIL).value
         self._note(time, termination, "")
         self._publish()

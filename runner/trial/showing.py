@@ -102,7 +102,8 @@ class Showing:
             "checklist": [],
             "question": None,
         }
-        live.scene(level_scene(level, *_nominal(level)))
+        self._scene = level_scene(level, *_nominal(level))
+        live.scene(self._scene)
 
     def attach(self, rig: Rig) -> None:
         """Show the vehicle of a rig from now on, in every phase."""
@@ -134,12 +135,18 @@ class Showing:
     def begin(self, index: int, gates: Array, obstacles: Array) -> None:
         """An episode begins on this track."""
         names = [] if self._rig is None else [self._rig.body]
-        self.live.scene(level_scene(self._level, gates, obstacles, names))
+        self._scene = level_scene(self._level, gates, obstacles, names)
+        self.live.scene(self._scene)
         self.live.begin()
         self._pace.begin()
         self._facts |= {"episode": index, "gate": 0, "time": 0.0, "missed": 0, "why": ""}
         if self._rig is None:
             self._facts["phase"] = Phase.RUN.value
+
+    def drawn(self, entities: list[dict[str, Any]]) -> None:
+        """All that the contestant has drawn now, as entities of a ``foxglove.SceneUpdate``."""
+        self._scene["drawn"] = entities
+        self.live.scene(self._scene)
 
     def running(self) -> None:
         """The run itself begins now."""

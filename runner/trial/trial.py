@@ -21,6 +21,7 @@ from crazyarena.errors import InputError
 from crazyarena.levels.draw import Draw, SeparateDraws
 from crazyarena.levels.schema import Level
 from crazyarena.plain_text import shown
+from crazyarena.runner.contestant.contract_lsy.dialogue import Drawing
 from crazyarena.runner.contestant.dialogue import Contestant
 from crazyarena.runner.contestant.interrupt import Interrupt
 from crazyarena.runner.judging.referee import Verdict
@@ -209,6 +210,15 @@ class Trial:
             if show is not None:
                 show.step(verdict, time, loop.row, loop.missed)
 
+        def drew(drawings: list[Drawing], time: float) -> None:
+            from crazyarena.runner.records.lsy_scene import drawn_scene
+
+            scene = drawn_scene(drawings, time)
+            if recorder is not None:
+                recorder.scene(time, scene)
+            if show is not None:
+                show.drawn(scene["entities"])
+
         loop = ControlLoop(
             index,
             self._contestant,
@@ -223,6 +233,7 @@ class Trial:
             watch=staging.watch,
             on_verdict=judged,
             on_step=None if on_step is None else lambda time: on_step(index, time),
+            on_drawings=drew,
             thought_before=self._thought,
         )
         try:

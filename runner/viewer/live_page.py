@@ -17,8 +17,9 @@ from crazyarena.live import COLOUR, POSITION, QUATERNION, SETPOINT, STOP, State,
 from crazyarena.plain_text import shown_line
 from crazyarena.runner.viewer.fleet import Fleet, colours
 from crazyarena.runner.viewer.operator_page import page
-from crazyarena.runner.viewer.server import Rights, connection_of, go_to, look_at
+from crazyarena.runner.viewer.server import Rights, connection_of, frame, go_to, look_at
 from crazyarena.runner.viewer.stage import Stage
+from crazyarena.runner.viewer.sure_button import LOOKS, SureButton
 from crazyarena.runner.viewer.trails import Trails
 from crazyarena.safety.estop_local import LANDING, STOPPED, stop_local
 
@@ -37,12 +38,13 @@ _LAND_LABEL = "LAND"
 _ARM_LABEL = "Hold to arm"
 _READ_ONLY = '<div style="padding:0.2em 1em;font-size:0.85em">read only</div>'
 _NOT_THE_TOKEN = _READ_ONLY.replace("read only", "read only: this is not the token")
-# Buttons one can hit without looking for them.
+# A button one can hit without looking for it, as those of LOOKS.
 _LOOKS = """<style>
 button[data-block=true][data-with-left-section=true] {
   height: 3.4em !important; font-size: 1.15em !important; font-weight: 700;
 }
 </style>"""
+_RED, _ORANGE = "#d6202a", "#d9730d"
 
 
 class LivePage:
@@ -74,8 +76,9 @@ class LivePage:
         self._question = ""
         self._confirmed: str | None = None
         self._consoles: dict[int, _Console] = {}
+        self._bounds: tuple[Any, Any] | None = None
         self._lock = threading.Lock()
-        server.gui.add_html(_LOOKS, order=0)
+        server.gui.add_html(_LOOKS + LOOKS, order=0)
         tabs = server.gui.add_tab_group(order=10)
         with tabs.add_tab("Flight", icon="drone"):
             self._title = server.gui.add_html("")
@@ -104,6 +107,9 @@ class LivePage:
         console = _Console(self, client, self._tab)
         with self._lock:
             self._consoles[client.client_id] = console
+            bounds = self._bounds
+        if bounds is not None:
+            frame(client, *bounds)
         if self._rights.without_token(connection_of(self._server, client)):
             console.allow()
         else:
@@ -173,7 +179,14 @@ class LivePage:
 
     def _show_scene(self, scene: dict[str, Any]) -> None:
         self._stage.show(scene)
-        look_at(self._server, *Stage.bounds(scene))
+        bounds = Stage.bounds(scene)
+        look_at(self._server, *bounds)
+        with self._lock:
+            seen = self._bounds is None
+            self._bounds = bounds
+            consoles = list(self._consoles.values()) if seen else []
+        for console in consoles:
+            frame(console.client, *bounds)
 
     def _show_vehicles(self, state: State) -> None:
         rows = state.rows
@@ -222,9 +235,9 @@ class _Console:
 
     def __init__(self, shown: LivePage, client: Any, tab: Any) -> None:
         self._shown = shown
-        self._client = client
+        self.client = client
         self._tab = tab
-        self._buttons: list[Any] = []
+        self._buttons: list[SureButton] = []
         self._arm: Any = None
         self._gate: list[Any] = []
         self._letters = threading.Lock()
@@ -237,7 +250,7 @@ class _Console:
 
     def only_look(self, by_token: bool) -> None:
         """Without rights; the token gives them, if there is one."""
-        gui = self._client.gui
+        gui = self.client.gui
         with self._tab:
             if not by_token:
                 self._gate = [gui.add_html(_READ_ONLY, order=1)]
@@ -266,17 +279,17 @@ class _Console:
 
     def allow(self) -> None:
         """Buttons that stop, land and arm."""
-        gui = self._client.gui
+        gui = self.client.gui
         # Above the tabs: they must never be looked for.
-        look: dict[str, Any] = {"visible": False}
-        stop = gui.add_button(_STOP_LABEL, color="red", icon="hand-stop", order=1, **look)
-        land = gui.add_button(_LAND_LABEL, color="orange", icon="plane-arrival", order=2, **look)
-        arm = gui.add_button(_ARM_LABEL, color="green", icon="lock-open", order=3, **look)
-        self._buttons, self._arm = [stop, land], arm
-        self._was = None
-        stop.on_click(lambda event: self._send(land=False))
-        land.on_click(lambda event: self._send(land=True))
+        self._buttons = [
+            SureButton(gui, _STOP_LABEL, _RED, "S", 1, lambda: self._send(land=False)),
+            SureButton(gui, _LAND_LABEL, _ORANGE, "L", 2, lambda: self._send(land=True)),
+        ]
+        arm = gui.add_button(_ARM_LABEL, color="green", icon="lock-open", order=3, visible=False)
+        # A hold that is lost among other inputs arms later, never sooner.
         arm.on_hold(lambda event: self._hold(), callback_hz=10.0)
+        self._arm = arm
+        self._was = None
 
     def _send(self, land: bool) -> None:
         """By the way that ``crazyarena estop`` takes; never waits for the page."""
@@ -297,14 +310,14 @@ class _Console:
             self._say("Armed", "the countdown begins", "green")
 
     def _say(self, title: str, text: str, colour: Any) -> None:
-        self._client.add_notification(title, text, color=colour, auto_close_seconds=8.0)
+        self.client.add_notification(title, text, color=colour, auto_close_seconds=8.0)
 
     def update(self, control: bool, question: str, alarm: bool = False) -> None:
         """Buttons follow what the flight can."""
         if (control, question) != self._was:
             self._was = (control, question)
             for button in self._buttons:
-                button.visible = control
+                button.show(control)
             if self._arm is not None:
                 self._arm.visible = bool(question)
         if alarm and not self._alarm and self._sounds.value:

@@ -14,7 +14,7 @@ from crazyarena.clock import Clock, WallClock
 from crazyarena.errors import InputError
 from crazyarena.runner.viewer.fleet import Fleet, colours
 from crazyarena.runner.viewer.recorded import Flight
-from crazyarena.runner.viewer.server import go_to, look_at
+from crazyarena.runner.viewer.server import frame, go_to, look_at
 from crazyarena.runner.viewer.stage import Stage
 
 Array = NDArray[np.float64]
@@ -58,7 +58,9 @@ class Replay:
         self._colours = colours(len(flights))
         self._stage = Stage(server.scene)
         self._stage.show(flights[0].scene)
-        look_at(server, *Stage.bounds(flights[0].scene))
+        bounds = Stage.bounds(flights[0].scene)
+        look_at(server, *bounds)
+        server.on_client_connect(lambda client: frame(client, *bounds))
         solid = np.array([1.0] + [_GHOST] * (len(flights) - 1))
         self._fleet = Fleet(server.scene, None if len(flights) == 1 else solid)
         self._show_paths()

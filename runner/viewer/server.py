@@ -6,6 +6,7 @@ import contextlib
 import hmac
 import io
 import ipaddress
+import math
 import socket
 from typing import Any
 from urllib.parse import urlsplit
@@ -16,6 +17,13 @@ from crazyarena.errors import DependencyMissing, InputError
 from crazyarena.runner.viewer.solids import Array
 
 LOOPBACK = "127.0.0.1"
+
+# viser's panel, in pixels: on the right of a window, or over the lower part of a narrow one.
+_PANEL = 400
+_PHONE = 576
+_ABOVE = 0.4
+_LOOSE = 1.05  # a little further away than it must be
+_FAR = 1e4  # m
 
 
 def open_server(host: str, port: int, title: str) -> Any:
@@ -76,6 +84,51 @@ def look_at(server: Any, low: Array, high: Array) -> None:
         float(middle[1] - 0.68 * size),
         float(0.42 * size + 0.5),
     )
+
+
+def frame(client: Any, low: Array, high: Array) -> None:
+    """Let one browser see the whole room with these corners (3,) m beside its panel."""
+    camera = client.camera
+    place, target = framed(low, high, camera.image_width, camera.image_height, camera.fov)
+    with client.atomic():
+        camera.position = tuple(place.tolist())
+        camera.look_at = tuple(target.tolist())
+
+
+def framed(low: Array, high: Array, width: int, height: int, fov: float) -> tuple[Array, Array]:
+    """Place and target (3,) m of a camera that sees all of a room beside the panel.
+
+    low, high: corners of the room, (3,) m. width, height: of the window, pixels; fov: vertical,
+    rad.
+    """
+    width, height = max(width, 1), max(height, 1)
+    phone = width < _PHONE
+    # The free part of the window in the camera's plane at a distance of 1, y upwards.
+    half = math.tan(0.5 * fov)
+    pixel = 2.0 * half / height
+    left, right = -0.5 * width * pixel, 0.5 * width * pixel
+    right -= 0.0 if phone else min(_PANEL, 0.6 * width) * pixel
+    top, bottom = half, half - 2.0 * half * (_ABOVE if phone else 1.0)
+    # Standing aside turns the view: the direction makes up for it.
+    back = np.array([-0.24, -0.82, 1.3] if phone else [-0.35, -0.82, 0.75])
+    back /= np.linalg.norm(back)
+    across = np.cross([0.0, 0.0, 1.0], back)
+    across /= np.linalg.norm(across)
+    turn = np.stack([across, np.cross(back, across), back])
+    middle = 0.5 * (low + high)
+    corners = np.array([np.where([k & 1, k & 2, k & 4], high, low) for k in range(8)])
+    x, y, z = turn @ (corners - middle).T
+    away = float(z.max()) + 0.1
+    while True:
+        deep = away - z
+        # Where the camera may stand aside, so that every corner is within the free part.
+        sides = np.array([(x - right * deep).max(), (x - left * deep).min()])
+        heights = np.array([(y - top * deep).max(), (y - bottom * deep).min()])
+        if (sides[0] <= sides[1] and heights[0] <= heights[1]) or away > _FAR:
+            break
+        away *= 1.03
+    aside = sides.mean() * turn[0] + heights.mean() * turn[1]
+    return middle + aside + _LOOSE * away * back, middle + aside
 
 
 def go_to(client: Any, place: Array) -> None:

@@ -20,6 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from crazyarena.runner.contestant.contract_2022 import drawn
+
 CONTRACT = Path(__file__).parent / "names"
 
 # Names that NumPy 1.22 still had.
@@ -131,6 +133,12 @@ def _unpatch_casadi(casadi: Any) -> None:
             setattr(casadi.Function, name, method.__crazyarena_original__)
 
 
+_PATCHES = (
+    ("casadi", _patch_casadi, _unpatch_casadi),
+    ("pybullet", drawn.patch, drawn.unpatch),
+)
+
+
 @contextlib.contextmanager
 def installed() -> Iterator[None]:
     """Put all shims in place for the time of the ``with`` block."""
@@ -138,11 +146,12 @@ def installed() -> Iterator[None]:
     for name in added:
         setattr(np, name, _NUMPY_NAMES[name])
     stand_ins = _StandIns()
-    casadi_hook = _PatchOnImport("casadi", _patch_casadi)
-    sys.meta_path.insert(0, casadi_hook)
+    hooks = [_PatchOnImport(name, patch) for name, patch, _ in _PATCHES]
+    sys.meta_path[:0] = hooks
     sys.meta_path.append(stand_ins)
-    if "casadi" in sys.modules:
-        _patch_casadi(sys.modules["casadi"])
+    for name, patch, _ in _PATCHES:
+        if name in sys.modules:
+            patch(sys.modules[name])
     backend = os.environ.get("MPLBACKEND")
     os.environ["MPLBACKEND"] = "Agg"
     if "matplotlib" in sys.modules:
@@ -154,9 +163,11 @@ def installed() -> Iterator[None]:
             os.environ.pop("MPLBACKEND", None)
         else:
             os.environ["MPLBACKEND"] = backend
-        sys.meta_path.remove(casadi_hook)
+        for hook in hooks:
+            sys.meta_path.remove(hook)
         sys.meta_path.remove(stand_ins)
-        if "casadi" in sys.modules:
-            _unpatch_casadi(sys.modules["casadi"])
+        for name, _, unpatch in _PATCHES:
+            if name in sys.modules:
+                unpatch(sys.modules[name])
         for name in added:
             delattr(np, name)

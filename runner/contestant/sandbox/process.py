@@ -199,7 +199,8 @@ class Sandboxed:
         assert isinstance(message, Answer)
         # Of a question that asks for no command, nothing but the learning was done.
         command = now - learned if message.asked is not None else 0.0
-        return Answer(step, message.asked, None, seconds, command, learning)
+        drawings = message.drawings
+        return Answer(step, message.asked, None, seconds, command, learning, drawings=drawings)
 
     def hook(self, name: str) -> tuple[float, str | None]:
         started = time.perf_counter()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +35,7 @@ _NO_COMMAND = -128
 # each with a head (kind, number of points, colour, size) and its points.
 _LSY = struct.Struct(f"<cqbbdd{_ARGS}d")
 _DRAWN = struct.Struct("<cH5d")
+_DRAWINGS = b"D"  # after an answer of 2022, where what is drawn has changed
 _DRAWN_KINDS = {"line": b"l", "points": b"p"}
 
 
@@ -79,7 +81,11 @@ def encode_answer(answer: Answer, ticket: int | None = None) -> bytes:
         verb = answer.asked.verb
         values = _arguments(answer.asked.command)
         args[: len(values)] = values
-    return _ANSWER.pack(ANSWER, number, verb, answer.command_seconds, answer.learn_seconds, *args)
+    times = answer.command_seconds, answer.learn_seconds
+    packet = _ANSWER.pack(ANSWER, number, verb, *times, *args)
+    if answer.drawings is not None:
+        packet = _with_drawings(packet + _DRAWINGS, answer.drawings)
+    return packet
 
 
 def encode_lsy(answer: LsyAnswer, ticket: int | None = None) -> bytes:
@@ -94,13 +100,20 @@ def encode_lsy(answer: LsyAnswer, ticket: int | None = None) -> bytes:
     args = command + [0.0] * (_ARGS - len(command))
     times = answer.command_seconds, answer.callback_seconds
     packet = _LSY.pack(LSY, number, len(command), answer.finished, *times, *args)
-    for drawing in answer.drawings:
+    return _with_drawings(packet, answer.drawings)
+
+
+def _with_drawings(packet: bytes, drawings: Sequence[Drawing]) -> bytes:
+    """A packet with as many drawings as have room."""
+    parts, length = [packet], len(packet)
+    for drawing in drawings:
         kind = _DRAWN_KINDS.get(drawing.kind, b"p")
         head = _DRAWN.pack(kind, len(drawing.points), *drawing.rgba, drawing.size)
         points = np.ascontiguousarray(drawing.points, np.float64).tobytes()
-        if len(packet) + len(head) + len(points) <= MAX_PACKET:
-            packet += head + points
-    return packet
+        if length + len(head) + len(points) <= MAX_PACKET:
+            parts += [head, points]
+            length += len(head) + len(points)
+    return b"".join(parts)
 
 
 def _decode_lsy(packet: bytes) -> LsyAnswer:
@@ -117,7 +130,13 @@ def _decode_lsy(packet: bytes) -> LsyAnswer:
             answer.command = checked_command(args[:size], size, step)
         except CommandError as error:
             raise ChannelError(str(error)) from None
-    at = _LSY.size
+    answer.drawings = _drawings(packet, _LSY.size)
+    return answer
+
+
+def _drawings(packet: bytes, at: int) -> list[Drawing]:
+    """Those that a packet ends with."""
+    found = []
     while at < len(packet):
         if at + _DRAWN.size > len(packet):
             raise ChannelError("a drawing that is cut off")
@@ -131,9 +150,8 @@ def _decode_lsy(packet: bytes) -> LsyAnswer:
             raise ChannelError("a drawing that is none")
         at += 24 * count
         name = "line" if kind == b"l" else "points"
-        colour = (red, green, blue, alpha)
-        answer.drawings.append(Drawing(name, points.reshape(-1, 3), colour, width))
-    return answer
+        found.append(Drawing(name, points.reshape(-1, 3), (red, green, blue, alpha), width))
+    return found
 
 
 def _arguments(command: cs.Command | None) -> list[float]:
@@ -173,8 +191,9 @@ def decode(packet: bytes) -> Message:
     ChannelError: it is none.
     """
     kind = packet[:1]
-    if kind == ANSWER and len(packet) == _ANSWER.size:
-        _, step, verb, command_seconds, learn_seconds, *args = _ANSWER.unpack(packet)
+    drawn = packet[_ANSWER.size : _ANSWER.size + 1] == _DRAWINGS
+    if kind == ANSWER and (len(packet) == _ANSWER.size or drawn):
+        _, step, verb, command_seconds, learn_seconds, *args = _ANSWER.unpack_from(packet)
         if not (math.isfinite(command_seconds) and math.isfinite(learn_seconds)):
             raise ChannelError("an answer with times that are not finite")
         asked: Asked | None = None
@@ -186,7 +205,10 @@ def decode(packet: bytes) -> Message:
                 asked = checked((_Verb(verb), _contract_args(verb, tuple(args))), step)
             except CommandError as error:
                 raise ChannelError(str(error)) from None
-        return Answer(step, asked, None, 0.0, max(0.0, command_seconds), max(0.0, learn_seconds))
+        answer = Answer(step, asked, None, 0.0, max(0.0, command_seconds), max(0.0, learn_seconds))
+        if drawn:
+            answer.drawings = _drawings(packet, _ANSWER.size + 1)
+        return answer
     if kind == LSY and len(packet) >= _LSY.size:
         return _decode_lsy(packet)
     if kind in (READY, MADE, FAILED, HOOKED, LEARNED, PID) and len(packet) >= _TEXT.size:

@@ -43,8 +43,14 @@ class Flown:
     complete: bool
 
     @property
+    def passes(self) -> list[tuple[float, str]]:
+        """When which gate was passed."""
+        passed = (event for event in self.events if event["event"] == "gate passed")
+        return [(event["time"], event["detail"]) for event in passed]
+
+    @property
     def gate_times(self) -> list[float]:
-        return [event["time"] for event in self.events if event["event"] == "gate passed"]
+        return [time for time, _ in self.passes]
 
     @property
     def marks(self) -> list[Mark]:

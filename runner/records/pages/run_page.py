@@ -159,7 +159,9 @@ def _openings(flown: Flown) -> list[tuple[float, float, float]]:
     found = gate_openings(flown.entities)
     return [
         (when, float(centre[2]) - half, float(centre[2]) + half)
-        for when, (centre, half) in zip(flown.gate_times, found, strict=False)
+        for when, name in flown.passes
+        if name in found
+        for centre, half in (found[name],)
     ]
 
 

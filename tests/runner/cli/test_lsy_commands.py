@@ -30,7 +30,10 @@ def test_a_dry_run_needs_no_flag(call, tmp_path):
     assert document["success_rate"] == 1.0
     assert document["provenance"]["seed"] == 1
     assert document["provenance"]["level"] == "lsy-level0"
-    assert document["episodes"][0]["files"] == {"recording": "episode_000.mcap"}
+    assert document["episodes"][0]["files"] == {
+        "recording": "episode_000.mcap",
+        "figure": "episode_000.png",
+    }
     assert (tmp_path / "out" / "episode_000.mcap").is_file()
 
 
@@ -88,6 +91,28 @@ def test_evaluation_counts_and_exits_by_half(call):
     assert document["passed"] is False
     assert document["mean_time"] is None
     assert [r["termination"] for r in document["runs"]] == ["CONTROLLER FINISHED"] * 2
+
+
+def test_a_dry_run_leaves_pictures_and_a_report_with_events(call, tmp_path):
+    line = ("dry-run", "mine.py", "--level", "lsy/level0", "--seed", "1", "--episodes")
+    assert call(STATE, *line, "1", "--out", "good").exit_code == 0
+    (episode,) = json.loads((tmp_path / "good" / "result.json").read_text())["episodes"]
+    assert episode["files"]["figure"] == "episode_000.png"
+    page = (tmp_path / "good" / "report.html").read_text()
+    for words in ("gate seen", "gate passed", "obstacle seen", "gate 3"):
+        assert words in page
+    # Down into the floor; of many the first failures, and all on one sheet.
+    bad = controller("return np.concatenate(([1.0, 0.0, 0.5], np.zeros(10)))")
+    told = call(bad, *line, "12", "--out", "bad")
+    assert told.exit_code == 1
+    drawn = sorted(file.name for file in (tmp_path / "bad").glob("*.png"))
+    assert drawn[0] == "episode_000.png"
+    assert drawn[-1] == "episodes.png"
+    assert len(drawn) < 12
+    assert "episodes are on episodes.png alone" in told.output
+    none = call(STATE, *line, "1", "--out", "none", "--no-figure", "--no-report", "--no-record")
+    assert none.exit_code == 0
+    assert [file.name for file in (tmp_path / "none").iterdir()] == ["result.json"]
 
 
 def test_secret_draws_are_told_in_the_result_alone(call, tmp_path):

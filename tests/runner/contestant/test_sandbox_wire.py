@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from crazyarena.crazyswarm_compat import commands as cs
 from crazyarena.runner.contestant.contract_2022.command_check import Asked
+from crazyarena.runner.contestant.contract_lsy.dialogue import Drawing
 from crazyarena.runner.contestant.dialogue import Answer
 from crazyarena.runner.contestant.sandbox import wire
 
@@ -59,6 +60,43 @@ def test_go_to_survives(position, yaw, duration, relative):
 )
 def test_other_verbs_survive(verb, command):
     assert there_and_back(verb, command) == command
+
+
+colours = st.tuples(*[st.floats(0, 1)] * 4)
+drawings = st.lists(
+    st.builds(
+        lambda kind, points, rgba, size: Drawing(kind, np.array(points), rgba, size),
+        st.sampled_from(["line", "points"]),
+        st.lists(triples, min_size=1, max_size=5),
+        colours,
+        st.floats(0, 10),
+    ),
+    max_size=6,
+)
+
+
+@given(drawings)
+def test_what_is_drawn_survives_beside_a_command(drawn):
+    answer = Answer(7, Asked(2, cs.Takeoff(1.0, 2.0)), None, 0.5, 0.001, 0.002, drawings=drawn)
+    packet = wire.encode_answer(answer)
+    back = wire.decode(packet)
+    assert back.asked.command == cs.Takeoff(1.0, 2.0)
+    assert len(back.drawings) == len(drawn)
+    for one, other in zip(back.drawings, drawn, strict=True):
+        assert (one.kind, one.rgba, one.size) == (other.kind, other.rgba, other.size)
+        np.testing.assert_array_equal(one.points, other.points)
+    if drawn:
+        for cut in (packet[:-1], packet[: wire._ANSWER.size + 2]):
+            with pytest.raises(wire.ChannelError):
+                wire.decode(cut)
+    assert wire.decode(wire.encode_answer(Answer(7, None, None, 0.0))).drawings is None
+
+
+def test_drawings_without_room_are_left_out():
+    much = [Drawing("line", np.zeros((600, 3)), (1.0, 0.0, 0.0, 1.0), 1.0)] * 9
+    packet = wire.encode_answer(Answer(1, None, None, 0.0, drawings=much))
+    assert len(packet) <= wire.MAX_PACKET
+    assert 0 < len(wire.decode(packet).drawings) < 9
 
 
 def test_errors_survive_and_long_ones_keep_their_end():

@@ -87,10 +87,9 @@ def test_two_that_touch_are_both_out_and_the_race_is_over():
     assert [said.each[drone].reason for drone in range(2)] == [COLLISION, COLLISION]
     assert (said.terminated, said.truncated) == (True, False)
     assert race.referee.racing == [False, False]
-    assert [referee.notes for referee in race.referee.drones] == [
-        ["touched drone 1 at 0.010 s"],
-        ["touched drone 0 at 0.010 s"],
-    ]
+    events = [[(e.name, e.detail) for e in said.each[drone].events] for drone in range(2)]
+    assert ("contact", "drone 1") in events[0]
+    assert ("contact", "drone 0") in events[1]
     np.testing.assert_array_equal(said.obs["pos"], np.full((2, 3), -1.0))
 
 

@@ -7,8 +7,14 @@ import pytest
 
 from crazyarena.levels.lsy import load_lsy_level
 from crazyarena.levels.lsy.arena import arena_level, poles_of
-from crazyarena.runner.judging.lsy_referee import LsyTrialReferee, lsy_why
-from crazyarena.runner.judging.lsy_rules import COLLISION, GATES_PASSED, SAFETY_LIMITS, TUMBLED
+from crazyarena.runner.judging.lsy_referee import LsyTrialReferee
+from crazyarena.runner.judging.lsy_rules import (
+    COLLISION,
+    GATES_PASSED,
+    SAFETY_LIMITS,
+    TUMBLED,
+    lsy_why,
+)
 from crazyarena.sim_backend.trace import (
     TR_POS,
     TR_QUAT,

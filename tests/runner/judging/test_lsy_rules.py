@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from crazyarena.levels.lsy import load_lsy_level
 from crazyarena.levels.lsy.draw import LsyRandom
-from crazyarena.runner.judging.lsy_rules import LsyReferee
+from crazyarena.runner.judging.lsy_rules import LsyReferee, lsy_why
 from crazyarena.sim_backend.successor import nominal
 from crazyarena.sim_backend.trace import TR_CONTACT, TR_POS, TR_QUAT, TR_TIME, TRACE_SIZE
 
@@ -187,3 +187,67 @@ def test_a_touch_between_two_looks_is_a_note():
     run = Run()
     assert run.to(0, 0, 1, ticks=3, between=5.0).reason is None
     assert any("between two looks" in note for note in run.referee.notes)
+
+
+def told(run, *names):
+    """Names and details of the events of the last step."""
+    events = [(e.name, e.detail) for e in run.verdict.events]
+    return [e for e in events if not names or e[0] in names]
+
+
+def test_what_is_seen_is_told_once():
+    run = Run()
+    first = run.to(-1.5, 0.75, 0.3)
+    seen = [e for e in first.events if e.name.endswith("seen")]
+    run.to(-1.5, 0.75, 0.3)
+    assert told(run) == []
+    every = {(e.name, e.detail) for e in seen}
+    for number in range(len(run.draw.gates)):
+        run.to(*run.at_gate(number, -0.3)[:2], 2.4)
+        every |= set(told(run, "gate seen", "obstacle seen"))
+    assert {f"gate {k}" for k in range(4)} == {d for name, d in every if name == "gate seen"}
+    np.testing.assert_array_equal(run.verdict.obs["gates_visited"], True)
+
+
+@pytest.mark.parametrize(
+    ("y", "z", "part"),
+    [
+        (0.25, 0.0, "left bar, 0.25 m left of its centre"),
+        (-0.27, 0.1, "right bar, 0.27 m right of its centre"),
+        (0.1, 0.3, "top bar, 0.30 m above its centre"),
+        (0.1, -0.3, "bottom bar, 0.30 m below its centre"),
+        (0.0, -0.6, "stand"),
+    ],
+)
+def test_a_contact_names_the_part_that_was_touched(y, z, part):
+    run = Run()
+    run.to(*run.at_gate(1, 0.0, y, z), contact=1.0)
+    assert told(run, "contact") == [("contact", f"gate 1 ({part})")]
+    assert run.verdict.reason == "COLLISION"
+    why = lsy_why("COLLISION", run.verdict.events, None, 0, 4)
+    assert why == f"COLLISION with gate 1 ({part}) at 0.02 s"
+
+
+def test_contacts_begin_and_end_between_looks_too():
+    run = Run()
+    run.to(-1.5, 0.75, 0.3, ticks=4, between=5.0)
+    assert told(run, "contact", "contact ended") == [
+        ("contact", "obstacle 1"),
+        ("contact ended", "obstacle 1"),
+    ]
+    assert run.verdict.reason is None
+
+
+def test_leaving_the_safety_limits_and_coming_back_is_told():
+    run = Run()
+    run.to(-2.6, 0.75, 1.0)
+    assert told(run, "constraint violated") == [("constraint violated", "x below -2.5 m")]
+    run.to(-2.7, 0.75, 1.0)
+    assert told(run, "constraint violated") == []
+    run.to(-2.0, 0.75, 1.0)
+    assert told(run, "constraint satisfied again") != []
+    run.to(-2.6, 0.75, 2.6)
+    assert run.verdict.reason == "OUT OF BOUNDS"
+    assert told(run, "out of bounds") == [("out of bounds", "z above 2.5 m")]
+    why = lsy_why("OUT OF BOUNDS", run.verdict.events, None, 1, 4)
+    assert why == "OUT OF BOUNDS: z above 2.5 m at 0.08 s, 1 of 4 gates"

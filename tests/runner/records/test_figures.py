@@ -15,8 +15,10 @@ from crazyarena.runner.judging.result import EpisodeResult
 from crazyarena.runner.records.arena_figure import save_arena
 from crazyarena.runner.records.bodies import Body, distances
 from crazyarena.runner.records.drawing import MANY, Choice, Drawer, Figures
-from crazyarena.runner.records.figure import picture, save_figure
+from crazyarena.runner.records.figure import save_figure
+from crazyarena.runner.records.ground import ground_of, lsy_ground
 from crazyarena.runner.records.marks import marks
+from crazyarena.runner.records.picture import picture
 from crazyarena.runner.records.scene import scene_update
 from crazyarena.runner.records.sheet import MOST_TILES, chosen, save_sheet, tile
 from crazyarena.safety.fence import Fence
@@ -52,12 +54,14 @@ def level():
     return load_level("level0")
 
 
-def shown(level, events=(), **fields):
+def shown(level, events=(), rows=None, **fields):
     gates = np.array([[*gate.row[:2], gate.centre[2], *gate.row[3:]] for gate in level.track.gates])
     obstacles = np.array([post.row for post in level.track.obstacles])
     result = episode(events, **fields)
     scene = scene_update(gates, obstacles, level)["entities"]
-    return picture(level, result, states(), gates, obstacles, entities=scene, commanded_from=0.5)
+    ground = ground_of(level, gates, obstacles)
+    rows = states() if rows is None else rows
+    return picture(ground, result, rows, entities=scene, commanded_from=0.5)
 
 
 def texts(level, monkeypatch, tmp_path, what):
@@ -101,12 +105,11 @@ def test_nothing_is_commanded_before_the_first_command_or_after_the_run(level):
 
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_hardly_any_flight_is_drawn_too(level, tmp_path, count):
-    none = np.empty((0, 7))
-    what = picture(level, episode(), states()[:count], none, np.empty((0, 6)))
     bare = level.model_copy(
         update={"track": level.track.model_copy(update={"gates": (), "obstacles": ()})}
     )
-    what.level = bare
+    ground = ground_of(bare, np.empty((0, 7)), np.empty((0, 6)))
+    what = picture(ground, episode(), states()[:count])
     save_figure(tmp_path / "a.png", what)
     assert (tmp_path / "a.png").read_bytes()[:4] == PNG
 
@@ -115,9 +118,7 @@ def test_a_flight_out_of_this_world_is_drawn_too(level, tmp_path):
     rows = states()
     rows[1000:, 1:4] = np.nan
     rows[900:1000, 1:4] = 1e12
-    what = shown(level)
-    what.position[500:] = 1e12
-    what.position[900:] = np.nan
+    what = shown(level, rows=rows)
     save_figure(tmp_path / "a.png", what)
     assert (tmp_path / "a.png").read_bytes()[:4] == PNG
 
@@ -171,16 +172,47 @@ def test_openings_are_those_of_the_gates_that_stand_there(level):
 
     gates = np.array([[*gate.row[:2], gate.centre[2], *gate.row[3:]] for gate in level.track.gates])
     found = gate_openings(scene_update(gates, np.empty((0, 6)), level)["entities"])
-    assert [half for _, half in found] == pytest.approx([0.2] * 4)
-    assert np.allclose([centre for centre, _ in found], gates[:, :3])
+    assert list(found) == ["gate 0", "gate 1", "gate 2", "gate 3"]
+    assert [half for _, half in found.values()] == pytest.approx([0.2] * 4)
+    assert np.allclose([centre for centre, _ in found.values()], gates[:, :3])
     other = lsy_scene(np.array([[1.0, 2.0, 0.7, 0.0, 0.0, 0.0, 1.0]]), np.empty((0, 3)))
-    ((centre, half),) = gate_openings(other["entities"])
+    ((centre, half),) = gate_openings(other["entities"]).values()
     assert centre == pytest.approx([1.0, 2.0, 0.7])
     assert 0.15 < half < 0.3
 
 
+def test_gates_of_lsy_are_named_in_the_order_they_are_passed(monkeypatch, tmp_path):
+    from crazyarena.levels.lsy import load_lsy_level
+    from crazyarena.runner.records.lsy_scene import lsy_scene
+
+    level = load_lsy_level("lsy/level0", ["env.track.gate_order=[3,-1]"])
+    gates = np.array([[*g.pos, 0.0, 0.0, 0.0, 1.0] for g in level.env.track.gates])
+    tops = np.array([pole.pos for pole in level.env.track.obstacles])
+    ground = lsy_ground(level, gates, gates, tops)
+    assert [line.mean(axis=0).tolist() for line in ground.gates] == gates[:, :2].tolist()
+    # Flown through along x: from above it spans y.
+    assert np.ptp(ground.gates[0], axis=0) == pytest.approx([0.0, 0.72])
+    assert ground.nominal == []
+    assert ground.goal is None
+    what = picture(
+        ground,
+        episode([Event("gate passed", 75, 1.5, "gate 2"), Event("contact", 1, 3.0, "gate 0")]),
+        states(),
+        entities=lsy_scene(gates, tops)["entities"],
+    )
+    assert [(hole.gate, hole.passed) for hole in what.openings] == [
+        ("gate 2", True),
+        ("gate 0", False),
+    ]
+    told = texts(None, monkeypatch, tmp_path, what)
+    assert "0 (nearest)" in told
+    assert "lsy-level0" in told
+    assert "contact: gate 0" in told
+
+
 def drawn(choice, outcomes):
-    return [i for i, clean in enumerate(outcomes) if choice(clean)]
+    """Numbers of the episodes drawn; every failure is of a kind of its own."""
+    return [i for i, clean in enumerate(outcomes) if choice(clean, f"COLLISION with gate {i}")]
 
 
 def test_which_episodes_are_drawn():
@@ -195,6 +227,19 @@ def test_which_episodes_are_drawn():
     assert Choice(Figures.AUTO, MANY + 1).sheet
     assert not Choice(Figures.AUTO, MANY).sheet
     assert not Choice(Figures.NONE, 100).sheet
+
+
+def test_failures_of_one_kind_are_drawn_once():
+    def why(i):
+        return f"COLLISION with gate {i % 2} (left bar) at {i}.{i} s, -{i}.25 m left of its centre"
+
+    choice = Choice(Figures.AUTO, 40)
+    assert [i for i in range(40) if choice(False, why(i))] == [0, 1]
+    assert choice.left == 38
+    choice = Choice(Figures.FAILURES, 40)
+    assert [i for i in range(40) if choice(False, why(i))] == list(range(40))
+    choice = Choice(Figures.AUTO, MANY)
+    assert [i for i in range(MANY) if choice(False, why(i))] == list(range(MANY))
 
 
 def test_choices_by_word_and_by_yes_or_no():
@@ -229,13 +274,14 @@ def test_a_drawer_that_is_closed_leaves_no_process(level, tmp_path):
 
 def test_a_sheet_has_room_for_all_failures_first(level, tmp_path):
     path = states()[:, 1:4]
-    gates = np.array([gate.row for gate in level.track.gates])
+    ground = ground_of(level, np.array([gate.row for gate in level.track.gates]), np.empty((0, 6)))
+    gates = ground.gates
     tiles = [tile(i, i % 3 > 0, "x", path, gates) for i in range(2 * MOST_TILES)]
     kept = chosen(tiles)
     assert len(kept) == MOST_TILES
     assert [t.index for t in kept] == sorted(t.index for t in kept)
     assert {t.index for t in tiles if not t.clean} <= {t.index for t in kept}
-    save_sheet(tmp_path / "s.png", level, tiles)
+    save_sheet(tmp_path / "s.png", ground, tiles)
     assert (tmp_path / "s.png").read_bytes()[:4] == PNG
 
 

@@ -62,7 +62,7 @@ def test_a_viewer_sees_track_path_drawings_and_end(tmp_path, live):
     assert np.allclose(points[0], np.array(seen.places)[:, 1:], atol=1e-5)
     facts = seen.watched.state().facts
     assert facts["phase"] in ("complete", "fail")
-    assert facts["why"] == episode.termination
+    assert facts["why"] == episode.why
     assert facts["events"][-1][1] == episode.termination
 
 

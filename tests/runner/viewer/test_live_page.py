@@ -250,6 +250,72 @@ def test_two_browsers_stop_land_arm_and_come_back(flight, viewer):
             assert errors(driver) == []
 
 
+# Everything in one task of the page: whatever shares a sender with STOP comes within 50 ms.
+_AT_ONCE = """
+    const [label, before, after] = arguments;
+    const boxes = [...document.querySelectorAll('input[type=checkbox]')];
+    const others = n => { for (let k = 0; k < n; k++) boxes[k % boxes.length].click(); };
+    const button = [...document.querySelectorAll('button')].find(b => b.innerText.trim() === label);
+    others(before);
+    button.click();
+    others(after);
+"""
+
+
+@needs_browser
+@pytest.mark.slow
+@pytest.mark.timeout(1500)
+def test_no_stop_is_lost_among_other_inputs(flight, viewer):
+    with browser(500, 500) as driver:
+        driver.get(viewer.url)
+        eventually(lambda: LABEL in text(driver), PATIENCE)
+        pulled, landed = flight.button.pulled, flight.landed
+        for k in range(25):
+            driver.execute_script(_AT_ONCE, LABEL, k % 5, k // 5)
+            driver.execute_script(_AT_ONCE, "LAND", k // 5, k % 5)
+            eventually(lambda k=k: len(pulled) == len(landed) == k + 1, PATIENCE)
+        # Also faster than answers come, and mixed.
+        for _ in range(10):
+            driver.execute_script(_AT_ONCE, "LAND", 1, 1)
+            driver.execute_script(_AT_ONCE, LABEL, 1, 1)
+        eventually(lambda: len(pulled) == len(landed) == 35, PATIENCE)
+        assert errors(driver) == []
+
+
+@needs_browser
+@pytest.mark.slow
+@pytest.mark.timeout(1500)
+def test_keys_stop_as_the_button_does_while_there_is_one(flight, viewer):
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    def keys(driver, letter):
+        held = (Keys.CONTROL, Keys.ALT, Keys.SHIFT)
+        chain = ActionChains(driver)
+        for key in held:
+            chain.key_down(key)
+        chain.send_keys(letter)
+        for key in held:
+            chain.key_up(key)
+        chain.perform()
+
+    with browser(500, 500) as driver:
+        driver.get(viewer.url)
+        eventually(lambda: LABEL in text(driver), PATIENCE)
+        keys(driver, "s")
+        eventually(lambda: len(flight.button.pulled) == 1, PATIENCE)
+        keys(driver, "l")
+        eventually(lambda: len(flight.landed) == 1, PATIENCE)
+        flight.facts["control"] = False
+        eventually(lambda: LABEL not in text(driver), PATIENCE)
+        keys(driver, "s")
+        flight.facts["control"] = True
+        eventually(lambda: LABEL in text(driver), PATIENCE)
+        keys(driver, "l")
+        eventually(lambda: len(flight.landed) == 2, PATIENCE)
+        assert len(flight.button.pulled) == 1
+
+
 @needs_browser
 @pytest.mark.slow
 @pytest.mark.timeout(1500)

@@ -118,3 +118,28 @@ def test_a_replay_shows_what_a_controller_has_drawn_at_the_time():
         drawn = [shape[0] for name, shape in scene.nodes.items() if name.startswith("/drawn")]
         assert [float(segments[0, 0, 0]) for segments in drawn] == ([] if x is None else [x]), time
         assert sum(name.startswith("/track") for name in scene.nodes) == 1
+
+
+@pytest.mark.parametrize(
+    ("width", "height"), [(1000, 537), (1920, 1080), (390, 780), (360, 500), (600, 900), (0, 0)]
+)
+def test_the_whole_room_is_seen_where_no_panel_lies(width, height):
+    from crazyarena.runner.viewer.server import framed
+
+    low, high, fov = np.array([-3.0, -3.0, 0.0]), np.array([3.0, 3.0, 2.0]), 1.3
+    place, target = framed(low, high, width, height, fov)
+    back = (place - target) / np.linalg.norm(place - target)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    turn = np.stack([right, np.cross(back, right), back])
+    corners = np.array([(x, y, z) for x in (-3, 3) for y in (-3, 3) for z in (0, 2)], float)
+    x, y, z = turn @ (corners - place).T
+    assert (z < 0.0).all()
+    if width:
+        pixels = 0.5 * height / np.tan(0.5 * fov) / -z
+        across, down = 0.5 * width + x * pixels, 0.5 * height - y * pixels
+        phone = width < 576
+        assert across.min() > -0.02 * width
+        assert across.max() < (1.02 * width if phone else max(width - 395, 0.42 * width))
+        assert down.min() > -0.02 * height
+        assert down.max() < (0.45 if phone else 1.02) * height

@@ -3,6 +3,7 @@
 Quaternions are x, y, z, w; Euler angles are roll, pitch, yaw about fixed axes, in radians.
 """
 
+import itertools
 import math
 
 GUI, DIRECT = 1, 2
@@ -19,7 +20,15 @@ def _draw(*_args, **_kwargs):
     return 0
 
 
-loadURDF = addUserDebugLine = addUserDebugText = removeBody = _draw
+_numbers = itertools.count()
+
+
+def _number(*_args, **_kwargs):
+    return next(_numbers)
+
+
+loadURDF = addUserDebugLine = addUserDebugText = _number
+removeBody = _draw
 connect = disconnect = removeUserDebugItem = removeAllUserDebugItems = _draw
 
 
