@@ -40,7 +40,6 @@ def dry_run(
     submissions: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[SUBMISSION]...",
             help="Folder with edit_this.py, a .py file with class Controller, or one with a "
             "controller of lsy_drone_racing; for a race of several drones one a drone. Default: "
             "the example racer.",

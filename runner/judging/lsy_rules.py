@@ -320,6 +320,9 @@ class LsyReferee:
             "n_gates_passed": np.array(self.passed, np.int32),
             "gate_sequence": self._sequence.astype(np.int32),
             "gate_sequence_direction": self._direction.astype(np.int32),
+            # Of some weeks in between.
+            "race_progress": np.array(-1 if done else self.passed, np.int32),
+            "target_gate_reverse": np.array(not done and self._direction[self.passed] < 0),
         }
 
 

@@ -171,3 +171,25 @@ def test_disturbances_of_a_race_do_not_depend_on_who_is_still_in_it(rng):
     ):
         np.testing.assert_array_equal(action, action_alone)
         np.testing.assert_array_equal(force, force_alone)
+
+
+def test_threefry_gives_a_race_the_numbers_of_jax():
+    """Made with jax 0.10.2, seed 7: keys split as there, arrays with an axis for the drones."""
+    place = [[0.039841365, -0.093650103, 0.0066229533], [-0.015501762, 0.094748519, 0.015105898]]
+    mass = [0.0034289681, -0.0014312589]
+    rpy = [[-0.094707802, 0.039390016, 0.012972379], [0.012225628, 0.028366281, 0.048311781]]
+    action = [
+        [0.0012063707, -0.0015352156, 0.00077777856, -0.0011598475],
+        [-0.0001279315, 0.000504817, 0.0013184259, -0.00048473632],
+    ]
+    force = [[0.058494855, -0.058279492, 0.059793402], [-0.072491862, -0.0089050299, 0.048984386]]
+    noise = "env.disturbances.action={fn: normal, scale: 0.001}"
+    drawn = race([noise, "rng=threefry"], seed=7)
+    starts = [[-1.5, 0.55, 0.01], [-1.5, 0.95, 0.01]]
+    for k, draw in enumerate(drawn):
+        np.testing.assert_allclose(draw.start[:3] - starts[k], place[k], atol=1e-8)
+        np.testing.assert_allclose(draw.mass - NOMINAL.mass, mass[k], atol=1e-9)
+        turn = Rotation.from_quat(draw.start[6:10]).as_euler("xyz")
+        np.testing.assert_allclose(turn, rpy[k], atol=1e-8)
+        for found, told in zip(draw.step_noise(), (action[k], force[k]), strict=True):
+            np.testing.assert_allclose(np.atleast_2d(found)[0], told, atol=1e-8)

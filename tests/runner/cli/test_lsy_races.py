@@ -155,7 +155,6 @@ def test_one_that_is_slow_flies_as_it_would_alone(call, tmp_path):
     call({"one.py": racer(UP, "self.k > 30"), "two.py": racer(slow, "self.k > 30")})
     told = document(tmp_path)
     assert ends(told) == ["CONTROLLER FINISHED"] * 2
-    assert told["episodes"][1]["compute_ms"]["p50"] >= 40.0
     for drone in range(2):
         states = [
             flights([tmp_path / out / f"episode_000_drone_{drone}.mcap"])[0].position

@@ -59,6 +59,8 @@ SHAPES = {
     "n_gates_passed": ((2,), "int32"),
     "gate_sequence": ((2, 4), "int32"),
     "gate_sequence_direction": ((2, 4), "int32"),
+    "race_progress": ((2,), "int32"),
+    "target_gate_reverse": ((2,), "bool"),
 }
 
 
@@ -124,6 +126,7 @@ def test_each_has_gates_and_rewards_of_its_own():
             said = race.step(place, START[1])
     assert said.obs["n_gates_passed"].tolist() == [4, 0]
     assert said.obs["target_gate"].tolist() == [-1, 0]
+    assert said.obs["race_progress"].tolist() == [-1, 0]
     assert [said.each[drone].reward for drone in range(2)] == [-1.0, 0.0]
     said = race.step(place, START[1])
     assert said.each[0].reason == GATES_PASSED

@@ -109,6 +109,8 @@ def test_direction_order_and_signs():
     assert run.obs["target_gate"] == 1
     np.testing.assert_array_equal(run.obs["gate_sequence"], [1, 0, 0])
     np.testing.assert_array_equal(run.obs["gate_sequence_direction"], [-1, 1, 1])
+    assert run.obs["target_gate_reverse"]
+    assert run.obs["race_progress"] == 0
     run.through(1)
     assert run.referee.passed == 0
     for number, back in ((1, True), (0, False), (0, False)):

@@ -64,6 +64,7 @@ def test_order_of_calls_observation_and_config(tmp_path):
         "pos": [[3], f32], "vel": [[3], f32], "quat": [[4], f32], "ang_vel": [[3], f32],
         "target_gate": [[], "int32"], "n_gates_passed": [[], "int32"],
         "gate_sequence": [[4], "int32"], "gate_sequence_direction": [[4], "int32"],
+        "race_progress": [[], "int32"], "target_gate_reverse": [[], "bool"],
         "gates_pos": [[4, 3], f32], "gates_quat": [[4, 4], f32], "gates_visited": [[4], "bool"],
         "obstacles_pos": [[4, 3], f32], "obstacles_visited": [[4], "bool"],
     }  # fmt: skip
