@@ -180,11 +180,12 @@ class LivePage:
     def _show_scene(self, scene: dict[str, Any]) -> None:
         self._stage.show(scene)
         bounds = Stage.bounds(scene)
-        look_at(self._server, *bounds)
         with self._lock:
-            seen = self._bounds is None
-            self._bounds = bounds
-            consoles = list(self._consoles.values()) if seen else []
+            before, self._bounds = self._bounds, bounds
+            consoles = list(self._consoles.values())
+        if before is not None and all(map(np.array_equal, before, bounds)):
+            return  # whoever looks from somewhere else goes on doing so
+        look_at(self._server, *bounds)
         for console in consoles:
             frame(console.client, *bounds)
 
