@@ -34,7 +34,7 @@ document.documentElement.style.scrollbarWidth = "none";
 """
 _TO_LEVEL = """
 const head = [...document.querySelectorAll("h2")].find(h => h.textContent.trim() === arguments[0]);
-scrollTo(0, head.getBoundingClientRect().top + scrollY - 60);
+scrollTo(0, head.getBoundingClientRect().top + scrollY - 30);
 """
 
 
