@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.checks import check_param_name
 from crazyarena.errors import BackendError
-from crazyarena.safety.admission.memory import VehicleMemory
+from crazyarena.safety.admission.memory import GROUP_MASK, VehicleMemory
 from crazyarena.safety.admission.room import Room
 from crazyarena.safety.flight_model import BRAKING
 
@@ -78,6 +78,7 @@ _INTEGERS = {
     "stabilizer.stop": "B",
     "commander.enHighLevel": "B",
     "colAv.enable": "B",
+    GROUP_MASK: "B",
     "posCtlPid.thrustBase": "H",
     "posCtlPid.thrustMin": "H",
 }

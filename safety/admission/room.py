@@ -38,6 +38,7 @@ class Room:
     ----------
     state: latest believed state of a vehicle, or None.
     parameter: value of a firmware parameter of a vehicle; raises BackendError.
+    low: whether a vehicle is so low that its motors may stop.
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class Room:
         limits: Limits,
         state: Callable[[int], VehicleState | None],
         parameter: Callable[[int, str], float],
+        low: Callable[[int], bool] = lambda vehicle: False,
     ) -> None:
         self.fence = fence
         self.limits = limits
@@ -54,6 +56,7 @@ class Room:
         self._usual: dict[int, UsualSpeed] = {}
         self.state = state
         self.parameter = parameter
+        self.low = low
 
     def where(self, vehicle: int) -> Point | None:
         state = self.state(vehicle)
@@ -262,13 +265,18 @@ class Room:
         return x, y, z
 
     def duration(
-        self, distance: float, duration: float, reasons: list[str], most: float = math.inf
+        self,
+        distance: float,
+        duration: float,
+        reasons: list[str],
+        most: float = math.inf,
+        fastest: float = math.inf,
     ) -> float:
-        """The duration, or the shortest that keeps the polynomial within the limits, and its
-        acceleration within ``most``, m/s2."""
+        """The duration, or the shortest that keeps the polynomial within the limits, its
+        acceleration within ``most``, m/s2, and its speed within ``fastest``, m/s."""
         n = self.limits
         least = max(
-            _PEAK_SPEED * distance / n.setpoint_speed,
+            _PEAK_SPEED * distance / min(n.setpoint_speed, fastest),
             math.sqrt(_PEAK_ACCELERATION * distance / min(n.setpoint_acceleration, most)),
         )
         if duration >= least:

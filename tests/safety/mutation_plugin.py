@@ -13,7 +13,7 @@ from typing import Any
 
 from crazyarena.runner.contestant.compute import Budget
 from crazyarena.safety import estop_socket, gate, guard, heading, preflight, tipping, watchdog
-from crazyarena.safety.admission import attitudes, parameters, plans, trajectories
+from crazyarena.safety.admission import attitudes, memory, parameters, plans, trajectories
 from crazyarena.safety.admission.fitters import FITTERS
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room
@@ -91,7 +91,17 @@ OTHERS: dict[str, tuple[Callable[[], None], str]] = {
     "plan": (_without(plans, "_excess", lambda room, plan, origin: 0.0), "test_gate.py"),
     "near_its_plan": (_without(Room, "near_its_plan", lambda self, *args: None), "test_gate.py"),
     # A plan after a stream is not flown.
-    "relax": (_without(CommandGate, "_must_relax", lambda self, *args: False), "test_gate.py"),
+    "relax": (_without(CommandGate, "_word_before", lambda self, *args: None), "test_gate.py"),
+    # Commands for another group are taken for heard, also those that end a stream or stop.
+    "groups": (_without(VehicleMemory, "addressed", lambda self, group: True), "test_release.py"),
+    "mask_read": (_without(gate, "GROUP_MASK", "nobodys.own"), "test_release.py"),
+    "mask_written": (_without(memory, "is_group_mask", lambda name: False), "test_release.py"),
+    # A stream that ends on the ground is missed as one in the air.
+    "low": (_without(watchdog.Watchdog, "_is_low", lambda *args: False), "test_release.py"),
+    # Landings that end in the air, or sooner than a vehicle can follow.
+    "falls": (_without(plans, "_FALLS", math.inf), "test_release.py"),
+    "sinks": (_without(plans, "_SINKS", math.inf), "test_release.py"),
+    "sinking": (_without(plans, "_SINKING", math.inf), "test_release.py"),
     "range": (_without(parameters, "_TUNED", {}), "test_gate.py"),
     "controller": (
         _without(parameters, "_refuse_unknown_braking", lambda *args: None),
