@@ -310,7 +310,8 @@ class CommandGate:
         if memory.flying_since is None and isinstance(command, FLYING):
             where = self._room.where(vehicle)
             memory.stood = None if where is None else where[2]
-        if memory.group_mask is None and getattr(command, "group_mask", 0):
+        group: int = getattr(command, "group_mask", 0)
+        if memory.group_mask is None and group != 0:
             with suppress(BackendError):
                 memory.group_mask = int(self._room.parameter(vehicle, GROUP_MASK))
         fitter = FITTERS.get(type(command))
@@ -328,17 +329,20 @@ class CommandGate:
         if memory.planner.flown is not Flown.STREAM:
             return None
         # A take-off is for those that stand, or were told that their stream is over.
-        plans = (c.Land, c.GoTo, c.StartTrajectory, *([c.Takeoff] if memory.over else []))
-        if isinstance(command, plans) and memory.addressed(command.group_mask):
+        flown = isinstance(command, c.Land | c.GoTo | c.StartTrajectory) or (
+            isinstance(command, c.Takeoff) and memory.over is not None
+        )
+        group = int(getattr(command, "group_mask", 0))
+        if flown and memory.addressed(group):
             return memory.over or c.NotifySetpointsStop()
         return None
 
     def _note_stop(self, command: c.Command, vehicle: int | None) -> None:
         for target in self._vehicles if vehicle is None else [vehicle]:
             memory = self._vehicles.get(target)
-            if memory is None or not memory.addressed(getattr(command, "group_mask", 0)):
-                continue
-            memory.stopped()
+            group = command.group_mask if isinstance(command, c.Stop) else 0
+            if memory is not None and memory.addressed(group):
+                memory.stopped()
 
     # Telling
 

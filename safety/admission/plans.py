@@ -47,6 +47,7 @@ def takeoff(
         reasons.append(f"height {height:.2f} m leads out of the fence, lowered to {top:.2f}")
     start = Motion((x, y, z))
     duration = room.duration(abs(top - z), float(m.duration), reasons)
+    duration = room.turned_in(m.yaw, False, memory.vehicle, duration, reasons)
     plan = to_rest(start, (x, y, top), max(duration, 1e-3))
     memory.then = lambda: memory.takes_off(plan, now, m.group_mask)
     return (replace(m, height=top, duration=duration) if reasons else m), reasons
@@ -79,6 +80,7 @@ def land(room: Room, m: c.Land, memory: VehicleMemory, now: float) -> tuple[c.Co
     drop = 0.0 if begin is None else abs(begin[2] - height)
     # It may come from anywhere, however fast, and what is late is still high when motors stop.
     duration = room.duration(drop, float(m.duration), reasons, _SINKS, _SINKING)
+    duration = room.turned_in(m.yaw, False, memory.vehicle, duration, reasons)
     plan = None
     if begin is not None:
         below = (begin[0], begin[1], height)
@@ -112,6 +114,7 @@ def go_to(room: Room, m: c.GoTo, memory: VehicleMemory, now: float) -> tuple[c.C
         memory.then = lambda: memory.follows(None, now, m.group_mask)
         return (replace(m, position=goal) if reasons else m), reasons
     duration = room.duration(math.dist(goal, origin.position), duration, reasons)
+    duration = room.turned_in(float(m.yaw), m.relative, memory.vehicle, duration, reasons)
     plan = _fitting(room, origin, goal, duration)
     if plan is None:
         goal, plan = _cut_short(room, origin, goal, duration)

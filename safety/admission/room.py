@@ -25,6 +25,7 @@ _VELOCITY_HORIZON = 0.5  # s of a velocity setpoint that have to end inside the 
 _MEMORY = 0.5  # s after which the last setpoint no longer bounds the next
 _MOST_LAG = 0.4  # m
 _FACES, _YAWS = 0.2, 1.0  # rad and rad/s by which a vehicle may be turned that leans or tips
+_SPINS = 0.8  # rad of a heading, from the vehicle's own, that any vehicle may be told
 _WAY_STEP = 0.025  # m, between looks along a way
 OUT_IF_LOST = "it would carry the vehicle out of the fence if the link were lost now"
 
@@ -224,26 +225,61 @@ class Room:
         return point[0], point[1], highest
 
     def facing(self, yaw: float, memory: VehicleMemory, now: float, reasons: list[str]) -> float:
-        """Keep a new heading near that of a vehicle that is busy with its attitude: what motors
-        turn it with is missing elsewhere, too. One that it had before it may have."""
-        state = self._busy(memory.vehicle)
+        """Keep a heading near the vehicle's, and a new one nearer to that of one that is busy with
+        its attitude: what motors turn it with is missing elsewhere, too. One that it had before
+        it may have."""
+        state = self.state(memory.vehicle)
         if state is None or not math.isfinite(yaw):
             return yaw
+        busy = self._busy(memory.vehicle) is not None
         last, age = memory.heading[0], now - memory.heading[1]
         step = abs(math.remainder(yaw - last, math.tau))
         seen = yaw_of(state.quaternion)
         turn = math.remainder(yaw - seen, math.tau)
-        if abs(turn) <= _FACES or (age <= _MEMORY and step <= _YAWS * age + 1e-3):
+        had = busy and age <= _MEMORY and step <= _YAWS * age + 1e-3
+        most = _FACES if busy and not had else _SPINS
+        if abs(turn) <= most:
             return yaw
-        reasons.append(f"heading {yaw:.2f} rad turns by {turn:.2f} while the vehicle leans or tips")
-        return seen + math.copysign(_FACES, turn)
+        why = " while the vehicle leans or tips" if busy else ", more than at once"
+        reasons.append(f"heading {yaw:.2f} rad turns by {turn:.2f}{why}")
+        return seen + math.copysign(most, turn)
 
     def turning(self, rate: float, memory: VehicleMemory, reasons: list[str]) -> float:
         """The same for a rate of yaw, rad/s."""
-        if abs(rate) <= _YAWS or self._busy(memory.vehicle) is None:
+        busy = self._busy(memory.vehicle) is not None
+        most = _YAWS if busy else self.limits.setpoint_yaw_rate
+        if abs(rate) <= most:
             return rate
-        reasons.append(f"yaw rate of {rate:.2f} rad/s while the vehicle leans or tips")
-        return math.copysign(_YAWS, rate)
+        why = " while the vehicle leans or tips" if busy else f", above {most:g}"
+        reasons.append(f"yaw rate of {rate:.2f} rad/s{why}")
+        return math.copysign(most, rate)
+
+    def turned_in(
+        self, yaw: float | None, relative: bool, vehicle: int, duration: float, reasons: list[str]
+    ) -> float:
+        """The duration, or the shortest in which a plan may turn the vehicle to ``yaw``, rad."""
+        state = self.state(vehicle)
+        if yaw is None or state is None:
+            return duration
+        turn = abs(math.remainder(yaw - (0.0 if relative else yaw_of(state.quaternion)), math.tau))
+        least = _PEAK_SPEED * turn / self.limits.setpoint_yaw_rate
+        if duration >= least:
+            return duration
+        reasons.append(f"a turn by {turn:.2f} rad in {duration:g} s needs {least:.2f} s")
+        return least
+
+    def carried(self, point: Point, memory: VehicleMemory, reasons: list[str]) -> Point:
+        """Raise a place, told without a velocity, to which a vehicle would fall without thrust."""
+        state = self.state(memory.vehicle)
+        if state is None or self.low(memory.vehicle):
+            return point
+        height, climb = float(state.position[2]), float(state.velocity[2])
+        lowest = steerable.lowest(self.limits.vehicle, height, climb, point[2], 0.0, 0.0)
+        lowest = min(lowest, height)  # one that climbs may be stopped where it is
+        if lowest <= point[2]:
+            return point
+        reasons.append(f"height {point[2]:.2f} m asks for no lift, {lowest:.2f} m for now")
+        return point[0], point[1], lowest
 
     def _busy(self, vehicle: int) -> VehicleState | None:
         """The vehicle's state, if it leans or tips so that it needs its motors to be upright."""

@@ -33,6 +33,8 @@ def full_state(
         if slower is not None:
             reasons.append(OUT_IF_LOST)
             place, velocity, omega = slower
+    if velocity[2] == 0.0 and acceleration[2] == 0.0:
+        place = room.carried(place, memory, reasons)
     place = room.upright(place, memory, reasons, velocity, acceleration)
     yaw = room.facing(float(m.yaw), memory, now, reasons)
     if not reasons:
@@ -46,6 +48,7 @@ def position(
     reasons: list[str] = []
     place = room.inside(as_point(m.position), memory.vehicle, reasons, "position")
     place = room.reachable(place, memory, now, reasons)
+    place = room.carried(place, memory, reasons)
     place = room.upright(place, memory, reasons)
     motion = room.motion(memory.vehicle)
     if motion is not None:
@@ -86,6 +89,7 @@ def hover(room: Room, m: c.Hover, memory: VehicleMemory, now: float) -> tuple[c.
         if room.limits.vehicle.follows_velocity:  # others bound the speed of a climb on board
             lead = room.limits.setpoint_lead
             height = towards((x, y, z), (x, y, height), lead, "vehicle", reasons)[2]
+        height = room.carried((x, y, height), memory, reasons)[2]
         height = room.upright((x, y, height), memory, reasons)[2]
     else:
         low, high = room.fence.bounds

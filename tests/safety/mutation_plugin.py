@@ -13,7 +13,7 @@ from typing import Any
 
 from crazyarena.runner.contestant.compute import Budget
 from crazyarena.safety import estop_socket, gate, guard, heading, preflight, tipping, watchdog
-from crazyarena.safety.admission import attitudes, memory, parameters, plans, trajectories
+from crazyarena.safety.admission import attitudes, memory, parameters, plans, room, trajectories
 from crazyarena.safety.admission.fitters import FITTERS
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room
@@ -171,6 +171,19 @@ OTHERS: dict[str, tuple[Callable[[], None], str]] = {
     "upright": (_without(Room, "upright", lambda self, point, *args: point), "test_gate.py"),
     "facing": (_without(Room, "facing", lambda self, yaw, *args: yaw), "test_gate.py"),
     "turning": (_without(Room, "turning", lambda self, rate, *args: rate), "test_gate.py"),
+    # Anybody may be spun about the vertical: by a stream, a plan or a trajectory.
+    "spins": (_without(room, "_SPINS", math.inf), "test_turning.py"),
+    "turned_in": (
+        _without(Room, "turned_in", lambda self, yaw, relative, vehicle, duration, *_: duration),
+        "test_turning.py",
+    ),
+    "refuse_spins": (
+        _without(trajectories, "_refuse_spins", lambda *args: None),
+        "test_turning.py",
+    ),
+    "jumps": (_without(trajectories, "_JUMPS", math.inf), "test_turning.py"),
+    # A place far below asks for no lift.
+    "carried": (_without(Room, "carried", lambda self, point, *args: point), "test_turning.py"),
     # The watchdog's own hold asks for all thrust, or for none.
     "steerable": (
         _without(SafePilot, "_steerable", lambda self, setpoint, obs: setpoint),

@@ -115,6 +115,9 @@ def test_a_plan_for_another_group_ends_no_stream(known):
         assert rig.sink.sent[-1][0] is command
         assert c.NotifySetpointsStop() not in [one for one, _ in rig.sink.sent]
         assert rig.gate.stream_age(1, rig.clock.now()) is not None
+    if known != "read":
+        rig.send(c.GoTo((0.5, 0.0, 1.0), 0.0, 3.0, group_mask=3))
+        assert rig.sink.sent[-2][0] == c.NotifySetpointsStop()
     rig.send(c.Stop())
     assert rig.gate.stream_age(1, rig.clock.now()) is None
 
