@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.errors import InputError
+from crazyarena.errors import BackendError, InputError
 from crazyarena.safety import steerable
 from crazyarena.safety.admission.memory import Refused, VehicleMemory
 from crazyarena.safety.attitude_path import AttitudeLoss
@@ -27,6 +28,7 @@ _MOST_LAG = 0.4  # m
 _FACES, _YAWS = 0.2, 1.0  # rad and rad/s by which a vehicle may be turned that leans or tips
 _SPINS = 0.8  # rad of a heading, from the vehicle's own, that any vehicle may be told
 _WAY_STEP = 0.025  # m, between looks along a way
+CONTROLLER = "stabilizer.controller"
 OUT_IF_LOST = "it would carry the vehicle out of the fence if the link were lost now"
 
 
@@ -62,6 +64,12 @@ class Room:
     def where(self, vehicle: int) -> Point | None:
         state = self.state(vehicle)
         return None if state is None else as_point(state.position)
+
+    def controller(self, vehicle: int) -> float | None:
+        """Value of ``stabilizer.controller``; None if nobody knows it."""
+        with suppress(BackendError):
+            return self.parameter(vehicle, CONTROLLER)
+        return None
 
     def seen(self, vehicle: int) -> Motion | None:
         """How the vehicle moves, as far as anybody knows."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import OUT_IF_LOST, Room, towards
+from crazyarena.safety.flight_model import MELLINGER
 from crazyarena.safety.observation import as_point, yaw_of
 
 
@@ -63,6 +64,12 @@ def position(
 def velocity_world(
     room: Room, m: c.VelocityWorld, memory: VehicleMemory, now: float
 ) -> tuple[c.Command, list[str]]:
+    if room.controller(memory.vehicle) == MELLINGER:
+        raise memory.refusal(
+            m,
+            "Mellinger's controller follows no velocity, and the vehicle would fall; stream "
+            "positions, or set stabilizer.controller to 1 in the vehicle list",
+        )
     reasons: list[str] = []
     velocity = room.slowed(as_point(m.velocity), reasons, "speed", room.limits.setpoint_speed)
     where = room.where(memory.vehicle)

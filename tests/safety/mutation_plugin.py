@@ -13,7 +13,15 @@ from typing import Any
 
 from crazyarena.runner.contestant.compute import Budget
 from crazyarena.safety import estop_socket, gate, guard, heading, preflight, tipping, watchdog
-from crazyarena.safety.admission import attitudes, memory, parameters, plans, room, trajectories
+from crazyarena.safety.admission import (
+    attitudes,
+    memory,
+    parameters,
+    plans,
+    room,
+    setpoints,
+    trajectories,
+)
 from crazyarena.safety.admission.fitters import FITTERS
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room
@@ -98,6 +106,8 @@ OTHERS: dict[str, tuple[Callable[[], None], str]] = {
     "mask_written": (_without(memory, "is_group_mask", lambda name: False), "test_release.py"),
     # A stream that ends on the ground is missed as one in the air.
     "low": (_without(watchdog.Watchdog, "_is_low", lambda *args: False), "test_release.py"),
+    # Velocities for a controller that follows none.
+    "velocity": (_without(setpoints, "MELLINGER", None), "test_release.py"),
     # Landings that end in the air, or sooner than a vehicle can follow.
     "falls": (_without(plans, "_FALLS", math.inf), "test_release.py"),
     "sinks": (_without(plans, "_SINKS", math.inf), "test_release.py"),

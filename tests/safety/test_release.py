@@ -146,3 +146,14 @@ def test_a_landing_is_slow_enough_to_be_followed_and_to_lean_little(height):
     duration = rig.send(c.Land(0.0, 0.1)).duration
     assert 35 / 16 * height / duration <= 1.51
     assert 7.52 * height / duration**2 <= 3.01
+
+
+@pytest.mark.parametrize("controller", [0.0, 1.0, 2.0])
+def test_no_velocity_is_sent_to_a_controller_that_follows_none(controller):
+    rig = Rig(where=HOME)
+    rig.sink.params["stabilizer.controller"] = controller
+    command = c.VelocityWorld((0.5, 0.0, 0.0))
+    if controller == 2.0:
+        assert "would fall" in rig.refused(command)
+    else:
+        assert rig.send(command) is command
