@@ -45,9 +45,9 @@ from crazyarena.safety.watchdog import Watchdog
 from crazyarena.sim_backend.arena import ArenaFleet, SensorNoise
 from crazyarena.sim_backend.arena_params import YAW_MODE
 from crazyarena.sim_backend.physics.competition_step import B_VEL, P_MASS
+from crazyarena.sim_backend.vehicles import VehicleChoice
 from crazyarena.types import Pose
 
-_THRUST_TO_WEIGHT = 1.5  # of the default vehicle
 _QUANTUM = 0.002  # s, of virtual time between looks at everything
 
 
@@ -59,15 +59,23 @@ class Flight:
     fault: name in :data:`.faults.ALL_FAULTS`.
     seed: of everything random in it.
     level: its arena is flown in.
+    limits: in place of those of the fault; vehicle: what flies, drawn from its spread.
     """
 
-    def __init__(self, fault: str, seed: int, level: Level, limits: Limits | None = None) -> None:
+    def __init__(
+        self,
+        fault: str,
+        seed: int,
+        level: Level,
+        limits: Limits | None = None,
+        vehicle: VehicleChoice | None = None,
+    ) -> None:
         if fault not in ALL_FAULTS:
             raise InputError(f"fault {fault!r}: choose from {', '.join(ALL_FAULTS)}")
         self.fault = fault
         self.seed = seed
         self.body, self.other = BODY, OTHER
-        plan = draw_plan(fault, seed)
+        plan = draw_plan(fault, seed, vehicle)
         kind = ALL_FAULTS[fault]
         self.rng = plan.rng
         # Attitudes mean something else to the other controller's loops.
@@ -87,7 +95,7 @@ class Flight:
         self.fleet.set_param(0, "stabilizer.controller", 2 if self.mellinger else 1)
         if kind.attitude:
             self.fleet.set_param(0, YAW_MODE, 1)
-            self._by_attitude = AttitudePilot(_THRUST_TO_WEIGHT)
+            self._by_attitude = AttitudePilot(plan.lift)
         self.link = FleetLink(self.fleet, self.clock, random.Random(seed))
         source = SimSource(
             self.clock, self._truth, CameraModel(rate=100.0), np.random.default_rng([seed, 2])

@@ -10,6 +10,7 @@ import typer
 
 from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
 from crazyarena.runner.cli.options.report import Report, leave_report
+from crazyarena.runner.cli.options.vehicle import VehicleName, VehicleSet, vehicle_choice
 
 
 def register(app: typer.Typer) -> None:
@@ -45,6 +46,8 @@ def fault_campaign(
             min=1, help="Flights side by side. Default: 1, with --udp 2.", show_default=False
         ),
     ] = None,
+    vehicle: VehicleName = None,
+    vehicle_set: VehicleSet = None,
     report: Report = True,
     out: Annotated[
         Path | None,
@@ -77,6 +80,7 @@ def fault_campaign(
         if not console.is_terminal:
             console = Console(width=120)
         in_real_time = udp or radio
+        flown = vehicle_choice(vehicle, vehicle_set)
         names = fault or list(real.UDP_FAULTS if in_real_time else ALL_FAULTS)
         run = (
             functools.partial(real.run_campaign, radio=radio)
@@ -93,7 +97,14 @@ def fault_campaign(
             raise InputError(f"--out {out}: cannot make this folder: {error.strerror}") from None
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task("flying", total=seeds * len(names))
-            outcomes = run(names, seeds, level, workers, lambda outcome: progress.advance(task))
+            outcomes = run(
+                names,
+                seeds,
+                level,
+                workers,
+                lambda outcome: progress.advance(task),
+                vehicle=flown,
+            )
         told.write_json(out / "campaign.json", outcomes, title)
         told.save_figure(out / "campaign.png", outcomes, title)
         console.print(told.table(outcomes, title))

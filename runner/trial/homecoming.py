@@ -23,6 +23,8 @@ _ASIDE = 0.25  # m from the fence, from where it flies home
 _HOME_ASIDE = 0.1  # m from the fence, at home
 _DRAW_BACK = 0.4  # m/s on the way there
 _SETTLED = 0.5  # s at rest before it goes on
+_SWINGS = 3.0  # s more for a vehicle that still swings
+_MOST_OFF = 0.2  # m, by which a vehicle is believed to hover off the height it is told
 _ABOVE_TRACK = 0.35  # m above the highest gate, on the way home
 
 
@@ -34,6 +36,7 @@ class Homecoming(Hands):
         self._level = level
         self._timeouts = timeouts
         self._home: Array | None = None
+        self._off = 0.0
         self.grip: Grip | None = None
 
     def announce(self, phase: Phase, text: str) -> None:
@@ -95,8 +98,10 @@ class Homecoming(Hands):
         """Brake, and draw back from the fence; the place (3,) m and heading where it then stays.
 
         A plan that begins on the move swings out by a fifth of its duration times the speed: too
-        much for a run that ended close to the fence.
+        much for a run that ended close to the fence. By how much the vehicle hovers above its
+        setpoint (a controller that takes it for another weight) is learnt here for the way home.
         """
+        self._off = 0.0
         state = self._estimate().state
         begin, velocity = state.position.copy(), state.velocity.copy()
         yaw = roll_pitch_yaw(state.quaternion)[2]
@@ -111,7 +116,8 @@ class Homecoming(Hands):
         drawing = float(np.linalg.norm(away)) / _DRAW_BACK
         clock = self._rig.clock
         start, zero = clock.now(), np.zeros(3)
-        while (now := clock.now() - start) < braking + drawing + _SETTLED:
+        calm = braking + drawing + _SETTLED
+        while (now := clock.now() - start) < calm or (self._swings() and now < calm + _SWINGS):
             self._must_fly(Phase.RETURN)
             if now < braking:
                 left = 1.0 - now / braking
@@ -123,7 +129,13 @@ class Homecoming(Hands):
                 setpoint = cs.FullState(rest + share * away, pace, zero, yaw, zero)
             self._send(setpoint)
             clock.sleep_until(clock.now() + TICK)
+        if not self._swings():
+            off = float(self._estimate().state.position[2] - inside[2])
+            self._off = float(np.clip(off, -_MOST_OFF, _MOST_OFF))
         return inside, yaw
+
+    def _swings(self) -> bool:
+        return float(np.linalg.norm(self._estimate().state.velocity)) > STILL
 
     def _deceleration(self) -> float:
         """m/s2, gently, and no more than the vehicle is trusted with."""
@@ -142,13 +154,17 @@ class Homecoming(Hands):
         tops = [gate.centre[2] + 0.25 for gate in self._level.track.gates]
         tops += [obstacle.z + 0.95 for obstacle in self._level.track.obstacles]
         ceiling = self._level.arena.high[2] - self._level.arena.soft_margin - 0.1
-        return min(max([*tops, 0.5]) + _ABOVE_TRACK, ceiling)
+        top = max([*tops, 0.5])
+        if top + _ABOVE_TRACK <= ceiling:
+            return top + _ABOVE_TRACK
+        # A low room: as far from the track as from the ceiling.
+        return min(0.5 * (top + ceiling), ceiling)
 
     def _go(self, place: Array, yaw: float) -> None:
         here = self._estimate().state.position
         away = float(np.linalg.norm(place - here))
         duration = max(1.0, away * _PEAK_OVER_MEAN / _PEAK_SPEED)
-        self._send(cs.GoTo(place, yaw, duration))
+        self._send(cs.GoTo(place - (0.0, 0.0, self._off), yaw, duration))
         end = self._rig.clock.now() + duration
         while self._rig.clock.now() < end:
             self._must_fly(Phase.RETURN)

@@ -28,7 +28,7 @@ from crazyarena.mocap.zenoh_link import ZenohPublisher
 from crazyarena.runner.campaign.cameras import FaultyCameras
 from crazyarena.runner.campaign.excursion import Excursion
 from crazyarena.runner.campaign.faults import FAULTS
-from crazyarena.runner.campaign.plan import Plan, draw_plan
+from crazyarena.runner.campaign.plan import Plan, planned
 from crazyarena.runner.campaign.setting import BODY, LAND_TIME, MISSION, OTHER, PATIENCE, VEHICLE
 from crazyarena.runner.campaign.strikes.struck import Struck
 from crazyarena.runner.campaign.udp.devices import LOOK_MS, ArenaCameras, FaultyRadio, Witness
@@ -180,7 +180,7 @@ def _serve(heard: queue.Queue[Message | None], tell: Tell) -> None:
     if config is None:
         return
     seed = config["seed"]
-    plan = draw_plan(config["fault"], seed)
+    plan = planned(config)
     fence = Fence.from_level(load_level(config["level_file"]))
     fleet = ArenaFleet(
         [plan.start],

@@ -26,6 +26,7 @@ from crazyarena.runner.campaign.udp import field as field_process
 from crazyarena.runner.campaign.udp import station as station_process
 from crazyarena.runner.campaign.udp.json_child import JsonChild, Message
 from crazyarena.safety.events import Action, SafetyEvent
+from crazyarena.sim_backend.vehicles import VehicleChoice
 
 KILLED = "killed_process"
 UDP_FAULTS = tuple(
@@ -38,23 +39,36 @@ _LEAD = 0.3  # s, for word of the take-off to get around
 _GRACE = 25.0  # s
 
 
-def fly(fault: str, seed: int, level: str = "level0", radio: bool = False) -> Outcome:
+def fly(
+    fault: str,
+    seed: int,
+    level: str = "level0",
+    radio: bool = False,
+    vehicle: VehicleChoice | None = None,
+) -> Outcome:
     """One flight, in real time; ``radio`` over a virtual Crazyradio instead of UDP.
 
     Raises
     ------
-    InputError: an unknown fault or level.
+    InputError: an unknown fault, level or vehicle.
     BackendError: vehicle or ground station do not come up.
     """
     check_faults([fault])
-    plan = draw_plan(fault, seed)
+    vehicle = vehicle or VehicleChoice()
+    plan = draw_plan(fault, seed, vehicle)
     place = [round(float(value), 4) for value in plan.start]
     empty = ["track.gates=[]", "track.obstacles=[]", f"start.position={place}"]
     with TemporaryDirectory(prefix="campaign-") as name:
         folder = Path(name)
         level_file = folder / "level.yaml"
         level_file.write_text(dump_level(load_level(level, empty)))
-        config = {"fault": fault, "seed": seed, "level_file": str(level_file), "radio": radio}
+        config = {
+            "fault": fault,
+            "seed": seed,
+            "level_file": str(level_file),
+            "radio": radio,
+            "vehicle": [vehicle.name, list(vehicle.overrides)],
+        }
         with (
             JsonChild(field_process.__name__, config, folder / "field.log") as field,
             JsonChild(station_process.__name__, config, folder / "station.log") as station,
@@ -119,12 +133,13 @@ def run_campaign(
     workers: int = 2,
     on_flight: Callable[[Outcome], None] | None = None,
     radio: bool = False,
+    vehicle: VehicleChoice | None = None,
 ) -> list[Outcome]:
-    """Every fault with every seed, ``workers`` flights side by side; ``radio`` as for :func:`fly`.
+    """Every fault with every seed, ``workers`` flights side by side; the rest as for :func:`fly`.
 
     Raises
     ------
-    InputError: an unknown fault.
+    InputError: an unknown fault, level or vehicle.
     BackendError: a flight did not come about.
     """
     names = list(faults)
@@ -133,7 +148,7 @@ def run_campaign(
     outcomes = []
     pool = ThreadPoolExecutor(max(1, workers), thread_name_prefix="flight")
     try:
-        flights = [(job, pool.submit(fly, *job, level, radio)) for job in jobs]
+        flights = [(job, pool.submit(fly, *job, level, radio, vehicle)) for job in jobs]
         for (name, seed), flight in flights:
             try:
                 outcomes.append(flight.result())

@@ -26,7 +26,7 @@ from crazyarena.levels import Level, load_level
 from crazyarena.mocap.opening import SourceSpec
 from crazyarena.mocap.stamps import HostStamps
 from crazyarena.runner.campaign.faults import FAULTS
-from crazyarena.runner.campaign.plan import Plan, draw_plan
+from crazyarena.runner.campaign.plan import Plan, planned
 from crazyarena.runner.campaign.setting import BODY, LAND_TIME, MISSION, RATE, VEHICLE
 from crazyarena.runner.campaign.strikes.struck import Struck
 from crazyarena.runner.campaign.udp.json_child import Message, Tell, converse
@@ -179,7 +179,7 @@ def _run(heard: queue.Queue[Message | None], tell: Tell) -> None:
     config, place = heard.get(), heard.get()
     if config is None or place is None:
         return
-    plan = draw_plan(config["fault"], config["seed"])
+    plan = planned(config)
     level = load_level(config["level_file"])
 
     rig = connected(

@@ -138,3 +138,36 @@ def test_a_submission_is_told_by_its_file(tmp_path):
     with pytest.raises(InputError, match="derives from"):
         enter(other, "lsy/level0")
     assert np.isfinite(enter(mine, "lsy/level1").level.episode_length)
+
+
+SPRINT = (
+    HEAD
+    + '''
+class Sprint(Controller):
+    """Up to 1.4 m, then 1.4 m/s along x, and it has finished."""
+
+    def __init__(self, obs, info, config):
+        super().__init__(obs, info, config)
+        self.start, self.steps = np.array(obs["pos"]), 0
+
+    def compute_control(self, obs, info=None):
+        action = np.zeros(13)
+        t = self.steps / 50
+        action[:3] = self.start + [max(0.0, t - 3.0) * 1.4, 0.0, min(t * 0.7, 1.4)]
+        action[3] = 1.4 if t > 3.0 else 0.0
+        return action.astype(np.float32)
+
+    def step_callback(self, action, obs, reward, terminated, truncated, info):
+        self.steps += 1
+        return self.steps >= 190
+'''
+)
+
+
+def test_it_comes_home_below_a_low_ceiling(fly):
+    """A Brushless hovers a hand above what it is told; above poles of 1.55 m are 0.45 m of room."""
+    result = fly(SPRINT, level="lsy/level1", episodes=3)
+    for episode in result.episodes:
+        words = [str(word) for event in episode.events for word in event]
+        assert not [word for word in words if "aborted" in word or "fence" in word]
+        assert episode.phases["return-and-land"] > 5.0
