@@ -74,6 +74,12 @@ class FlightModel:
     spent: float = 2.585
 
     @property
+    def floats(self) -> float:
+        """m by which it surely hovers above its setpoint, at least 0. Of one that hovers below it
+        is not asked more: the next of its kind may be lighter."""
+        return max(0.0, -self.low)
+
+    @property
     def braking(self) -> float:
         """m/s2 that it is trusted with: its controller's, or what its motors have."""
         return min(BRAKING.get(self.controller, GENTLEST), max(_LEAST, _OF_AGILITY * self.agility))

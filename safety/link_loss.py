@@ -193,7 +193,7 @@ class LinkLoss:
         """
         model = self._model
         ux, uy, uz = rest
-        uz += max(0.0, -model.low)
+        uz += model.floats
         (x, y, z), (vx, vy, vz) = moving.place, moving.velocity
         (ax, ay), (jx, jy) = moving.push, moving.swing
         usual = moving.usual or (vx, vy)

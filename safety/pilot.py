@@ -167,6 +167,7 @@ class SafePilot:
         model = self._limits.vehicle
         x, y, z = as_point(setpoint.position)
         told = as_point(setpoint.velocity)[2], as_point(setpoint.acceleration)[2]
+        z -= model.floats
         if not self._descending:  # one that stands on something is told to be far below
             z = steerable.lowest(model, place[2], self._velocity[2], z, *told)
         if steerable.is_busy(obs.upright, steerable.tipping(obs.rates)):

@@ -40,9 +40,10 @@ def highest(
         return place
     spare, stiffness = GRAVITY * (model.lift - 1.0), model.stiffness[2]
     taken = model.feed[2] * push + model.damping[2] * (velocity - climb)
-    if taken + stiffness * (place - height) <= _AMPLE * spare:
+    level = height - model.floats
+    if taken + stiffness * (place - level) <= _AMPLE * spare:
         return place
-    return min(place, height + (spare - taken) / stiffness)
+    return min(place, level + (spare - taken) / stiffness)
 
 
 def lowest(
@@ -53,4 +54,4 @@ def lowest(
         return place
     taken = model.feed[2] * push + model.damping[2] * (velocity - climb)
     falls = (LEAST_LIFT - 1.0) * GRAVITY
-    return max(place, height + (falls - taken) / model.stiffness[2])
+    return max(place, height - model.floats + (falls - taken) / model.stiffness[2])
