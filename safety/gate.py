@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from enum import StrEnum
 
 import numpy as np
@@ -19,9 +20,9 @@ from crazyarena.clock import Clock
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.backend import Backend
 from crazyarena.crazyswarm_compat.checks import check, verb
-from crazyarena.errors import CommandError
+from crazyarena.errors import BackendError, CommandError
 from crazyarena.safety.admission.fitters import FITTERS
-from crazyarena.safety.admission.memory import FLYING, Refused, VehicleMemory
+from crazyarena.safety.admission.memory import FLYING, GROUP_MASK, Refused, VehicleMemory
 from crazyarena.safety.admission.room import Room
 from crazyarena.safety.events import Action, SafetyEvent
 from crazyarena.safety.fence import Fence
@@ -34,6 +35,7 @@ from crazyarena.types import Pose, Telemetry, VehicleState
 _STOPPING = (c.Emergency, c.CutMotors, c.Stop)
 _TELEMETRY_GOOD = 0.3  # s, up to which the vehicle's own estimate is carried on
 
+_KEPT = "kept until a plan follows it"
 _FROZEN = 20  # poses that repeat, after which they are called frozen
 
 Listener = Callable[[c.Command, c.Command | None, str, int | None], None]
@@ -75,7 +77,15 @@ class CommandGate:
         self._clock = clock
         self.limits = limits or Limits()
         self._policy = policy
-        self._room = Room(fence, self.limits, state or (lambda vehicle: None), backend.get_param)
+        self.low: Callable[[int], bool] = lambda vehicle: False
+        """Whether a vehicle is so low that its motors may stop."""
+        self._room = Room(
+            fence,
+            self.limits,
+            state or (lambda vehicle: None),
+            backend.get_param,
+            lambda vehicle: self.low(vehicle),
+        )
         self._on_command = on_command
         self._on_event = on_event
         self._lock = threading.Lock()
@@ -230,23 +240,30 @@ class CommandGate:
             with self._lock:
                 self._admit(command, vehicle, targets)
                 sent = {target: self._fit(command, target) for target in targets}
-                relaxed = [t for t in targets if self._must_relax(sent[t][0], t)]
+                words = {t: self._word_before(sent[t][0], t) for t in targets}
                 for target, (one, _) in sent.items():
                     self._vehicles[target].sent(one, self._clock.now())
+                kept = {t for t in targets if self._vehicles[t].over is sent[t][0]}
         except CommandError as error:
             self.refused += 1
             self._tell(command, None, str(error), vehicle)
             self._report("gate_refused", vehicle, str(error))
             raise
-        for target in relaxed:
-            self._backend.send(c.NotifySetpointsStop(), target)
-        if vehicle is None and all(one is command for one, _ in sent.values()):
+        for target, word in words.items():
+            if word is not None:
+                self._backend.send(word, target)
+        if vehicle is None and not kept and all(one is command for one, _ in sent.values()):
             self._backend.send(command, None)
         else:
             for target, (one, _) in sent.items():
-                self._backend.send(one, target)
+                if target not in kept:
+                    self._backend.send(one, target)
         self.passed += 1
+        for target in kept:
+            self._tell(command, None, _KEPT, target)
         for target, (one, reason) in sent.items():
+            if target in kept:
+                continue
             if reason:
                 self.changed += 1
                 self._report("gate_clamped", target, reason)
@@ -290,6 +307,13 @@ class CommandGate:
         now = self._clock.now()
         memory = self._vehicles[vehicle]
         memory.then = None
+        if memory.flying_since is None and isinstance(command, FLYING):
+            where = self._room.where(vehicle)
+            memory.stood = None if where is None else where[2]
+        group: int = getattr(command, "group_mask", 0)
+        if memory.group_mask is None and group != 0:
+            with suppress(BackendError):
+                memory.group_mask = int(self._room.parameter(vehicle, GROUP_MASK))
         fitter = FITTERS.get(type(command))
         fitted, reasons = command, list[str]()
         if fitter is not None:
@@ -298,20 +322,26 @@ class CommandGate:
             raise Refused(f"cf{vehicle}: {verb(command)}: {'; '.join(reasons)}")
         return fitted, "; ".join(reasons)
 
-    def _must_relax(self, command: c.Command, vehicle: int) -> bool:
-        """Whether the vehicle would not fly this plan, but keep the last streamed setpoint."""
+    def _word_before(self, command: c.Command, vehicle: int) -> c.NotifySetpointsStop | None:
+        """What ends the stream of a vehicle that would not fly this plan, but keep its last
+        setpoint; None if nothing needs to."""
         memory = self._vehicles[vehicle]
-        return (
-            memory.planner.flown is Flown.STREAM
-            and not memory.relaxed
-            and isinstance(command, c.Land | c.GoTo | c.StartTrajectory)
-            and memory.addressed(command.group_mask)
+        if memory.planner.flown is not Flown.STREAM:
+            return None
+        # A take-off is for those that stand, or were told that their stream is over.
+        flown = isinstance(command, c.Land | c.GoTo | c.StartTrajectory) or (
+            isinstance(command, c.Takeoff) and memory.over is not None
         )
+        group = int(getattr(command, "group_mask", 0))
+        if flown and memory.addressed(group):
+            return memory.over or c.NotifySetpointsStop()
+        return None
 
     def _note_stop(self, command: c.Command, vehicle: int | None) -> None:
         for target in self._vehicles if vehicle is None else [vehicle]:
             memory = self._vehicles.get(target)
-            if memory is not None:
+            group = command.group_mask if isinstance(command, c.Stop) else 0
+            if memory is not None and memory.addressed(group):
                 memory.stopped()
 
     # Telling

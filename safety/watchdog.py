@@ -154,6 +154,7 @@ class Watchdog:
         self.renew()
         gate.grounded = self._grounded
         gate.nudged = self._nudged
+        gate.low = self._is_low
         self._wake = threading.Condition(threading.Lock())
         self._pending = False
         self._closed = False
@@ -240,6 +241,10 @@ class Watchdog:
             return pose
         allowed = not watched.guard.action.takes_over
         return watched.heading.nudged(pose, self._clock.now(), allowed)
+
+    def _is_low(self, vehicle: int) -> bool:
+        watched = self._by_vehicle.get(vehicle)
+        return watched is not None and (watched.low or not watched.airborne)
 
     def _grounded(self) -> str | None:
         """What keeps vehicles from taking off, in words."""
@@ -342,18 +347,8 @@ class Watchdog:
     def _fail(self, watched: _Watched, now: float, error: Exception) -> None:
         text = f"{type(error).__name__}: {error}"
         if watched.failed is None:
-            self._tell(
-                SafetyEvent(
-                    "watchdog_failed",
-                    Action.CUT,
-                    math.nan,
-                    math.nan,
-                    watched.guard.action,
-                    now,
-                    watched.vehicle,
-                    text,
-                )
-            )
+            where = watched.guard.action, now, watched.vehicle, text
+            self._tell(SafetyEvent("watchdog_failed", Action.CUT, math.nan, math.nan, *where))
         watched.failed = text
 
     def _tell(self, event: SafetyEvent) -> None:

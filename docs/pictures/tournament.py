@@ -28,9 +28,13 @@ from tests.browser import browser  # noqa: E402
 
 WIDE, DARK, PHONE = (1180, 757), (1180, 657), (390, 844)
 _COLOURS = 128
+_LOOK = """
+document.documentElement.dataset.theme = arguments[0];
+document.documentElement.style.scrollbarWidth = "none";
+"""
 _TO_LEVEL = """
-const head = [...document.querySelectorAll("h2")].find(h => h.innerText.trim() === arguments[0]);
-scrollTo(0, head.getBoundingClientRect().top + scrollY - 60);
+const head = [...document.querySelectorAll("h2")].find(h => h.textContent.trim() === arguments[0]);
+scrollTo(0, head.getBoundingClientRect().top + scrollY - 30);
 """
 
 
@@ -68,14 +72,14 @@ def main() -> None:
         # A window has a frame, which is cut off again.
         with browser(WIDE[0], WIDE[1] + 200) as driver:
             driver.get(page)
-            driver.execute_script("document.documentElement.dataset.theme = 'light'")
+            driver.execute_script(_LOOK, "light")
             save(driver, arguments.folder / "tournament.png", *WIDE)
-            driver.execute_script("document.documentElement.dataset.theme = 'dark'")
+            driver.execute_script(_LOOK, "dark")
             driver.execute_script(_TO_LEVEL, "level3")
             save(driver, arguments.folder / "tournament-dark.png", *DARK)
         with browser(*PHONE, phone=True) as driver:
             driver.get(page)
-            driver.execute_script("document.documentElement.dataset.theme = 'light'")
+            driver.execute_script(_LOOK, "light")
             save(driver, arguments.folder / "tournament-phone.png", *PHONE)
 
 

@@ -11,6 +11,7 @@ from crazyarena.safety.admission import (
     avoidance,
     parameters,
     plans,
+    release,
     setpoints,
     trajectories,
 )
@@ -27,6 +28,7 @@ FITTERS: dict[type, Fitter] = {
     c.Hover: setpoints.hover,
     c.Attitude: attitudes.attitude,
     c.RollPitchYawThrust: attitudes.angles,
+    c.NotifySetpointsStop: release.release,
     c.Takeoff: plans.takeoff,
     c.Land: plans.land,
     c.GoTo: plans.go_to,

@@ -26,7 +26,9 @@ class VehicleMemory:
     Attributes
     ----------
     streaming: the vehicle depends on the next streamed setpoint, or on a plan instead of it.
-    relaxed: the stream was ended (notify-setpoints-stop), so that plans are flown.
+    over: the runner's word that its stream is over, kept until a plan follows it: a vehicle that
+        is released and has nothing to follow stops its motors.
+    stood: m, height at which it was before it began to fly; None if nobody knew.
     avoiding: collision avoidance on board is on.
     group_mask: of the vehicle; None until the runner has set it.
     boot: parameters as they were before the runner's first write.
@@ -45,7 +47,8 @@ class VehicleMemory:
     velocity: Point = (0.0, 0.0, 0.0)
     setpoint_time: float = -math.inf
     streaming: bool = False
-    relaxed: bool = False
+    over: c.NotifySetpointsStop | None = None
+    stood: float | None = None
     is_reference: bool = False
     tokens: float = 0.0
     tokens_time: float = -math.inf
@@ -76,12 +79,12 @@ class VehicleMemory:
     ) -> None:
         """A plan was sent; None if nobody knows where it begins."""
         if self.addressed(group):
-            self.streaming = False
+            self.streaming, self.over = False, None
             self.planner.follow(plan, now, landing, slots)
 
     def takes_off(self, plan: Plan, now: float, group: int) -> None:
         """A take-off was sent; only an idle planner makes anything of it."""
-        if self.planner.flown is Flown.NOTHING:
+        if self.planner.flown is Flown.NOTHING or self.over is not None:
             self.follows(plan, now, group)
 
     def sent(self, command: c.Command, now: float) -> None:
@@ -92,20 +95,19 @@ class VehicleMemory:
                 self.flying_since = now
         elif isinstance(command, c.Land):
             self.ending = True
-        elif isinstance(command, c.NotifySetpointsStop):
-            # Until a plan follows, the vehicle still holds the last setpoint.
-            self.relaxed = self.relaxed or self.addressed(command.group_mask)
         elif isinstance(command, c.CollisionAvoidance):
             self.avoiding = command.enable
         elif isinstance(command, c.SetGroupMask):
             self.group_mask = int(command.group_mask)
+        elif isinstance(command, c.SetParam) and is_group_mask(command.name):
+            self.group_mask = int(command.value)
         if isinstance(command, c.STREAMED):
             self._streamed(command, now)
         if self.then is not None:
             self.then()
 
     def _streamed(self, command: c.Command, now: float) -> None:
-        self.streaming, self.relaxed = True, False
+        self.streaming, self.over = True, None
         self.setpoint_time = now
         self.planner.stream()
         self.is_reference = isinstance(command, c.FullState)
@@ -117,12 +119,22 @@ class VehicleMemory:
         if isinstance(command, c.FullState):
             self.velocity = as_point(command.velocity)
 
+    def releases(self, word: c.NotifySetpointsStop) -> None:
+        """The runner says that its stream is over: kept in the air."""
+        self.over = word
+
     def stopped(self) -> None:
-        """Note that motors were told to stop."""
-        self.streaming = False
+        """Note that motors were told to stop, or do so because nothing is left to follow."""
+        self.streaming, self.over = False, None
         self.ending = True
         self.setpoint = self.pushed = None
         self.planner.stop()
 
 
+def is_group_mask(name: str) -> bool:
+    """Whether this parameter is the vehicle's group mask."""
+    return name.replace("/", ".") == GROUP_MASK
+
+
+GROUP_MASK = "hlCommander.groupmask"
 FLYING = (*c.STREAMED, c.Takeoff, c.GoTo, c.StartTrajectory)

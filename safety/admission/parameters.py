@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.crazyswarm_compat.checks import check_param_name
 from crazyarena.errors import BackendError
-from crazyarena.safety.admission.memory import VehicleMemory
-from crazyarena.safety.admission.room import Room
+from crazyarena.safety.admission.memory import GROUP_MASK, VehicleMemory
+from crazyarena.safety.admission.room import CONTROLLER, Room
 from crazyarena.safety.flight_model import BRAKING
 
 # What has nothing to do with flying: always open.
@@ -70,14 +70,14 @@ _TUNED: Mapping[str, _Range] = {
     "colAv.": _Range(1.0, 1.0),
     "colAv.enable": _Range(0.0, 0.0),
 }
-_CONTROLLER = "stabilizer.controller"
 # Types of what is an integer on the vehicle, as far as a rule depends on its value.
 _INTEGERS = {
-    _CONTROLLER: "B",
+    CONTROLLER: "B",
     "stabilizer.estimator": "B",
     "stabilizer.stop": "B",
     "commander.enHighLevel": "B",
     "colAv.enable": "B",
+    GROUP_MASK: "B",
     "posCtlPid.thrustBase": "H",
     "posCtlPid.thrustMin": "H",
 }
@@ -120,7 +120,7 @@ def set_param(
             else ""
         )
         raise memory.refusal(m, f"{name} cannot be written in flight{hint}")
-    if name == _CONTROLLER:
+    if name == CONTROLLER:
         _refuse_unknown_braking(room, m, memory, value)
     if allowed is None:
         return m, []

@@ -17,11 +17,9 @@ from crazyarena.safety.admission.agility import overtaxed
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room, text
 from crazyarena.safety.fence import Fence
-from crazyarena.safety.flight_model import GRAVITY
 from crazyarena.safety.link_loss import largest_share
 from crazyarena.safety.observation import Point, as_point
 from crazyarena.safety.planner import Motion, Plan, to_rest
-from crazyarena.safety.steerable import LEAST_LIFT
 
 _SAMPLES, _SAMPLE_STEP = 24, 0.1
 _STRETCH, _STRETCHES = 1.15, 24  # up to 25 times as long
@@ -29,6 +27,8 @@ _BISECTIONS = 8
 _LEAST_WAY = 0.02  # m, of a plan that was cut short: less is none
 _SWING = 0.1  # s of the speed at the beginning by which a vehicle may swing out further
 _SLACK = 1.02  # what sampling may overlook
+_FALLS = 0.1  # m, above where it stood, at which a landing may end
+_SINKS, _SINKING = 3.0, 1.5  # m/s2 and m/s of a landing
 
 
 def takeoff(
@@ -47,6 +47,7 @@ def takeoff(
         reasons.append(f"height {height:.2f} m leads out of the fence, lowered to {top:.2f}")
     start = Motion((x, y, z))
     duration = room.duration(abs(top - z), float(m.duration), reasons)
+    duration = room.turned_in(m.yaw, False, memory.vehicle, duration, reasons)
     plan = to_rest(start, (x, y, top), max(duration, 1e-3))
     memory.then = lambda: memory.takes_off(plan, now, m.group_mask)
     return (replace(m, height=top, duration=duration) if reasons else m), reasons
@@ -71,11 +72,15 @@ def land(room: Room, m: c.Land, memory: VehicleMemory, now: float) -> tuple[c.Co
     height = min(max(float(m.height), low[2] - 0.5), high[2] - room.fence.soft_margin)
     if height != m.height:
         reasons.append(f"height {m.height:g} m is outside the fence")
+    if memory.stood is not None and height > memory.stood + _FALLS:
+        reasons.append(f"motors stop at the end of a landing, at {height:.2f} m")
+        height = memory.stood + _FALLS
     seen = room.seen(memory.vehicle)
     begin = memory.planner.last_known(now, seen)
     drop = 0.0 if begin is None else abs(begin[2] - height)
-    # It may come from anywhere, however fast: its rotors have to turn.
-    duration = room.duration(drop, float(m.duration), reasons, (1.0 - LEAST_LIFT) * GRAVITY)
+    # It may come from anywhere, however fast, and what is late is still high when motors stop.
+    duration = room.duration(drop, float(m.duration), reasons, _SINKS, _SINKING)
+    duration = room.turned_in(m.yaw, False, memory.vehicle, duration, reasons)
     plan = None
     if begin is not None:
         below = (begin[0], begin[1], height)
@@ -109,6 +114,7 @@ def go_to(room: Room, m: c.GoTo, memory: VehicleMemory, now: float) -> tuple[c.C
         memory.then = lambda: memory.follows(None, now, m.group_mask)
         return (replace(m, position=goal) if reasons else m), reasons
     duration = room.duration(math.dist(goal, origin.position), duration, reasons)
+    duration = room.turned_in(float(m.yaw), m.relative, memory.vehicle, duration, reasons)
     plan = _fitting(room, origin, goal, duration)
     if plan is None:
         goal, plan = _cut_short(room, origin, goal, duration)

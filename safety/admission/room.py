@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 from crazyarena.crazyswarm_compat import commands as c
-from crazyarena.errors import InputError
+from crazyarena.errors import BackendError, InputError
 from crazyarena.safety import steerable
 from crazyarena.safety.admission.memory import Refused, VehicleMemory
 from crazyarena.safety.attitude_path import AttitudeLoss
@@ -25,7 +26,9 @@ _VELOCITY_HORIZON = 0.5  # s of a velocity setpoint that have to end inside the 
 _MEMORY = 0.5  # s after which the last setpoint no longer bounds the next
 _MOST_LAG = 0.4  # m
 _FACES, _YAWS = 0.2, 1.0  # rad and rad/s by which a vehicle may be turned that leans or tips
+_SPINS = 0.8  # rad of a heading, from the vehicle's own, that any vehicle may be told
 _WAY_STEP = 0.025  # m, between looks along a way
+CONTROLLER = "stabilizer.controller"
 OUT_IF_LOST = "it would carry the vehicle out of the fence if the link were lost now"
 
 
@@ -38,6 +41,7 @@ class Room:
     ----------
     state: latest believed state of a vehicle, or None.
     parameter: value of a firmware parameter of a vehicle; raises BackendError.
+    low: whether a vehicle is so low that its motors may stop.
     """
 
     def __init__(
@@ -46,6 +50,7 @@ class Room:
         limits: Limits,
         state: Callable[[int], VehicleState | None],
         parameter: Callable[[int, str], float],
+        low: Callable[[int], bool] = lambda vehicle: False,
     ) -> None:
         self.fence = fence
         self.limits = limits
@@ -54,10 +59,17 @@ class Room:
         self._usual: dict[int, UsualSpeed] = {}
         self.state = state
         self.parameter = parameter
+        self.low = low
 
     def where(self, vehicle: int) -> Point | None:
         state = self.state(vehicle)
         return None if state is None else as_point(state.position)
+
+    def controller(self, vehicle: int) -> float | None:
+        """Value of ``stabilizer.controller``; None if nobody knows it."""
+        with suppress(BackendError):
+            return self.parameter(vehicle, CONTROLLER)
+        return None
 
     def seen(self, vehicle: int) -> Motion | None:
         """How the vehicle moves, as far as anybody knows."""
@@ -221,26 +233,61 @@ class Room:
         return point[0], point[1], highest
 
     def facing(self, yaw: float, memory: VehicleMemory, now: float, reasons: list[str]) -> float:
-        """Keep a new heading near that of a vehicle that is busy with its attitude: what motors
-        turn it with is missing elsewhere, too. One that it had before it may have."""
-        state = self._busy(memory.vehicle)
+        """Keep a heading near the vehicle's, and a new one nearer to that of one that is busy with
+        its attitude: what motors turn it with is missing elsewhere, too. One that it had before
+        it may have."""
+        state = self.state(memory.vehicle)
         if state is None or not math.isfinite(yaw):
             return yaw
+        busy = self._busy(memory.vehicle) is not None
         last, age = memory.heading[0], now - memory.heading[1]
         step = abs(math.remainder(yaw - last, math.tau))
         seen = yaw_of(state.quaternion)
         turn = math.remainder(yaw - seen, math.tau)
-        if abs(turn) <= _FACES or (age <= _MEMORY and step <= _YAWS * age + 1e-3):
+        had = busy and age <= _MEMORY and step <= _YAWS * age + 1e-3
+        most = _FACES if busy and not had else _SPINS
+        if abs(turn) <= most:
             return yaw
-        reasons.append(f"heading {yaw:.2f} rad turns by {turn:.2f} while the vehicle leans or tips")
-        return seen + math.copysign(_FACES, turn)
+        why = " while the vehicle leans or tips" if busy else ", more than at once"
+        reasons.append(f"heading {yaw:.2f} rad turns by {turn:.2f}{why}")
+        return seen + math.copysign(most, turn)
 
     def turning(self, rate: float, memory: VehicleMemory, reasons: list[str]) -> float:
         """The same for a rate of yaw, rad/s."""
-        if abs(rate) <= _YAWS or self._busy(memory.vehicle) is None:
+        busy = self._busy(memory.vehicle) is not None
+        most = _YAWS if busy else self.limits.setpoint_yaw_rate
+        if abs(rate) <= most:
             return rate
-        reasons.append(f"yaw rate of {rate:.2f} rad/s while the vehicle leans or tips")
-        return math.copysign(_YAWS, rate)
+        why = " while the vehicle leans or tips" if busy else f", above {most:g}"
+        reasons.append(f"yaw rate of {rate:.2f} rad/s{why}")
+        return math.copysign(most, rate)
+
+    def turned_in(
+        self, yaw: float | None, relative: bool, vehicle: int, duration: float, reasons: list[str]
+    ) -> float:
+        """The duration, or the shortest in which a plan may turn the vehicle to ``yaw``, rad."""
+        state = self.state(vehicle)
+        if yaw is None or state is None:
+            return duration
+        turn = abs(math.remainder(yaw - (0.0 if relative else yaw_of(state.quaternion)), math.tau))
+        least = _PEAK_SPEED * turn / self.limits.setpoint_yaw_rate
+        if duration >= least:
+            return duration
+        reasons.append(f"a turn by {turn:.2f} rad in {duration:g} s needs {least:.2f} s")
+        return least
+
+    def carried(self, point: Point, memory: VehicleMemory, reasons: list[str]) -> Point:
+        """Raise a place, told without a velocity, to which a vehicle would fall without thrust."""
+        state = self.state(memory.vehicle)
+        if state is None or self.low(memory.vehicle):
+            return point
+        height, climb = float(state.position[2]), float(state.velocity[2])
+        lowest = steerable.lowest(self.limits.vehicle, height, climb, point[2], 0.0, 0.0)
+        lowest = min(lowest, height)  # one that climbs may be stopped where it is
+        if lowest <= point[2]:
+            return point
+        reasons.append(f"height {point[2]:.2f} m asks for no lift, {lowest:.2f} m for now")
+        return point[0], point[1], lowest
 
     def _busy(self, vehicle: int) -> VehicleState | None:
         """The vehicle's state, if it leans or tips so that it needs its motors to be upright."""
@@ -262,13 +309,18 @@ class Room:
         return x, y, z
 
     def duration(
-        self, distance: float, duration: float, reasons: list[str], most: float = math.inf
+        self,
+        distance: float,
+        duration: float,
+        reasons: list[str],
+        most: float = math.inf,
+        fastest: float = math.inf,
     ) -> float:
-        """The duration, or the shortest that keeps the polynomial within the limits, and its
-        acceleration within ``most``, m/s2."""
+        """The duration, or the shortest that keeps the polynomial within the limits, its
+        acceleration within ``most``, m/s2, and its speed within ``fastest``, m/s."""
         n = self.limits
         least = max(
-            _PEAK_SPEED * distance / n.setpoint_speed,
+            _PEAK_SPEED * distance / min(n.setpoint_speed, fastest),
             math.sqrt(_PEAK_ACCELERATION * distance / min(n.setpoint_acceleration, most)),
         )
         if duration >= least:

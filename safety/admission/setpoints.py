@@ -8,6 +8,7 @@ from dataclasses import replace
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import OUT_IF_LOST, Room, towards
+from crazyarena.safety.flight_model import MELLINGER
 from crazyarena.safety.observation import as_point, yaw_of
 
 
@@ -33,6 +34,8 @@ def full_state(
         if slower is not None:
             reasons.append(OUT_IF_LOST)
             place, velocity, omega = slower
+    if velocity[2] == 0.0 and acceleration[2] == 0.0:
+        place = room.carried(place, memory, reasons)
     place = room.upright(place, memory, reasons, velocity, acceleration)
     yaw = room.facing(float(m.yaw), memory, now, reasons)
     if not reasons:
@@ -46,6 +49,7 @@ def position(
     reasons: list[str] = []
     place = room.inside(as_point(m.position), memory.vehicle, reasons, "position")
     place = room.reachable(place, memory, now, reasons)
+    place = room.carried(place, memory, reasons)
     place = room.upright(place, memory, reasons)
     motion = room.motion(memory.vehicle)
     if motion is not None:
@@ -60,6 +64,12 @@ def position(
 def velocity_world(
     room: Room, m: c.VelocityWorld, memory: VehicleMemory, now: float
 ) -> tuple[c.Command, list[str]]:
+    if room.controller(memory.vehicle) == MELLINGER:
+        raise memory.refusal(
+            m,
+            "Mellinger's controller follows no velocity, and the vehicle would fall; stream "
+            "positions, or set stabilizer.controller to 1 in the vehicle list",
+        )
     reasons: list[str] = []
     velocity = room.slowed(as_point(m.velocity), reasons, "speed", room.limits.setpoint_speed)
     where = room.where(memory.vehicle)
@@ -86,6 +96,7 @@ def hover(room: Room, m: c.Hover, memory: VehicleMemory, now: float) -> tuple[c.
         if room.limits.vehicle.follows_velocity:  # others bound the speed of a climb on board
             lead = room.limits.setpoint_lead
             height = towards((x, y, z), (x, y, height), lead, "vehicle", reasons)[2]
+        height = room.carried((x, y, height), memory, reasons)[2]
         height = room.upright((x, y, height), memory, reasons)[2]
     else:
         low, high = room.fence.bounds

@@ -6,18 +6,22 @@ may have overwritten. What a flying trajectory reads cannot be overwritten.
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import numpy as np
 
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.safety.admission.agility import overtaxed
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room
-from crazyarena.safety.observation import as_point
+from crazyarena.safety.observation import as_point, yaw_of
 from crazyarena.safety.planner import uploaded
 
 _IDS = 31
 # A polynomial of 7th order has nowhere to hide between so many points.
 _SAME_PLACE = 0.05  # m
+_JUMPS = 1.8  # rad, of a heading: some more than a quarter turn
 _SAMPLES_PER_PIECE, _SAMPLE_STEP = 64, 0.05
 
 
@@ -80,6 +84,7 @@ def start(
             raise memory.refusal(
                 m, f"{what} reaches {found:.2f}, above {limit:g}; use a larger timescale"
             )
+    _refuse_spins(room, m, memory)
     taxed = overtaxed(plan, n.vehicle, _SAMPLES_PER_PIECE, _SAMPLE_STEP)
     if taxed is not None:
         raise memory.refusal(m, f"{taxed}; use a larger timescale")
@@ -102,3 +107,25 @@ def start(
             )
     memory.then = lambda: memory.follows(plan, now, m.group_mask, slots=part)
     return m, []
+
+
+def _refuse_spins(room: Room, m: c.StartTrajectory, memory: VehicleMemory) -> None:
+    """Refuse a heading that turns or jumps as no vehicle can."""
+    pieces = memory.trajectories.read(int(m.trajectory_id))
+    pieces[:, 1:9], pieces[:, 9:25] = pieces[:, 25:33], 0.0
+    plan = uploaded(pieces, float(m.timescale), bool(m.reverse))
+    with np.errstate(over="ignore", invalid="ignore"):
+        headings, rates, _ = plan.samples(_SAMPLES_PER_PIECE, _SAMPLE_STEP)
+    found, most = float(np.abs(rates[:, 0]).max()), room.limits.setpoint_yaw_rate
+    if not found <= most:
+        raise memory.refusal(
+            m, f"its heading turns with {found:.1f} rad/s, above {most:g}; use a larger timescale"
+        )
+    state = room.state(memory.vehicle)
+    told = headings[:, 0].tolist()
+    way = told if state is None else [yaw_of(state.quaternion), *told]
+    jump = max(abs(math.remainder(b - a, math.tau)) for a, b in itertools.pairwise(way))
+    if not jump <= _JUMPS:
+        raise memory.refusal(
+            m, f"its heading jumps by {jump:.1f} rad, above {_JUMPS:g}; turn the vehicle first"
+        )

@@ -13,7 +13,15 @@ from typing import Any
 
 from crazyarena.runner.contestant.compute import Budget
 from crazyarena.safety import estop_socket, gate, guard, heading, preflight, tipping, watchdog
-from crazyarena.safety.admission import attitudes, parameters, plans, trajectories
+from crazyarena.safety.admission import (
+    attitudes,
+    memory,
+    parameters,
+    plans,
+    room,
+    setpoints,
+    trajectories,
+)
 from crazyarena.safety.admission.fitters import FITTERS
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room
@@ -91,7 +99,19 @@ OTHERS: dict[str, tuple[Callable[[], None], str]] = {
     "plan": (_without(plans, "_excess", lambda room, plan, origin: 0.0), "test_gate.py"),
     "near_its_plan": (_without(Room, "near_its_plan", lambda self, *args: None), "test_gate.py"),
     # A plan after a stream is not flown.
-    "relax": (_without(CommandGate, "_must_relax", lambda self, *args: False), "test_gate.py"),
+    "relax": (_without(CommandGate, "_word_before", lambda self, *args: None), "test_gate.py"),
+    # Commands for another group are taken for heard, also those that end a stream or stop.
+    "groups": (_without(VehicleMemory, "addressed", lambda self, group: True), "test_release.py"),
+    "mask_read": (_without(gate, "GROUP_MASK", "nobodys.own"), "test_release.py"),
+    "mask_written": (_without(memory, "is_group_mask", lambda name: False), "test_release.py"),
+    # A stream that ends on the ground is missed as one in the air.
+    "low": (_without(watchdog.Watchdog, "_is_low", lambda *args: False), "test_release.py"),
+    # Velocities for a controller that follows none.
+    "velocity": (_without(setpoints, "MELLINGER", None), "test_release.py"),
+    # Landings that end in the air, or sooner than a vehicle can follow.
+    "falls": (_without(plans, "_FALLS", math.inf), "test_release.py"),
+    "sinks": (_without(plans, "_SINKS", math.inf), "test_release.py"),
+    "sinking": (_without(plans, "_SINKING", math.inf), "test_release.py"),
     "range": (_without(parameters, "_TUNED", {}), "test_gate.py"),
     "controller": (
         _without(parameters, "_refuse_unknown_braking", lambda *args: None),
@@ -161,6 +181,19 @@ OTHERS: dict[str, tuple[Callable[[], None], str]] = {
     "upright": (_without(Room, "upright", lambda self, point, *args: point), "test_gate.py"),
     "facing": (_without(Room, "facing", lambda self, yaw, *args: yaw), "test_gate.py"),
     "turning": (_without(Room, "turning", lambda self, rate, *args: rate), "test_gate.py"),
+    # Anybody may be spun about the vertical: by a stream, a plan or a trajectory.
+    "spins": (_without(room, "_SPINS", math.inf), "test_turning.py"),
+    "turned_in": (
+        _without(Room, "turned_in", lambda self, yaw, relative, vehicle, duration, *_: duration),
+        "test_turning.py",
+    ),
+    "refuse_spins": (
+        _without(trajectories, "_refuse_spins", lambda *args: None),
+        "test_turning.py",
+    ),
+    "jumps": (_without(trajectories, "_JUMPS", math.inf), "test_turning.py"),
+    # A place far below asks for no lift.
+    "carried": (_without(Room, "carried", lambda self, point, *args: point), "test_turning.py"),
     # The watchdog's own hold asks for all thrust, or for none.
     "steerable": (
         _without(SafePilot, "_steerable", lambda self, setpoint, obs: setpoint),

@@ -385,7 +385,7 @@ def test_what_a_racer_asks_of_it_then_is_left_alone():
 def test_a_calm_vehicle_may_climb_and_turn():
     rig = Rig(lean=0.2, rates=(1.0, 0.5, 3.0))
     for command in (
-        c.Position((0.0, 0.0, 1.2), 2.0),
+        c.Position((0.0, 0.0, 1.2), 0.75),
         c.Hover(0.0, 0.0, 3.0, 1.5),
         c.VelocityWorld(ZERO, -4.0),
     ):

@@ -193,3 +193,12 @@ def test_a_yaw_that_slowly_turns_is_cut():
     # Meanwhile it is turned, too: whatever says so first.
     assert flight.taken[0] in ("yaw_apart", "body_turned_far")
     assert flight.way < 0.3
+
+
+@pytest.mark.parametrize("seed", [0, 8])
+def test_sent_to_the_opposite_heading_it_is_cut_before_it_is_high(seed):
+    """Spun at once it would be deaf in roll and pitch meanwhile, and show nothing."""
+    flight = fly_turned(math.pi, seed, about=True)
+    assert flight.taken[0] == "body_turned_far"
+    assert flight.height < 0.3
+    assert flight.way < 0.1

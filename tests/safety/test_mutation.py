@@ -19,9 +19,12 @@ MUTATIONS = [
 ]
 
 
+GATE = ["test_gate.py", "test_attitudes.py", "test_release.py"]
+
+
 def run_suite(mutation: str) -> subprocess.CompletedProcess[str]:
     kind = mutation.partition(":")[0]
-    files = {"rule": ["test_monitors.py"], "gate": ["test_gate.py", "test_attitudes.py"]}
+    files = {"rule": ["test_monitors.py"], "gate": GATE}
     files |= {name: [file] for name, (_, file) in mutation_plugin.OTHERS.items()}
     names = files[kind] if kind else sorted({name for some in files.values() for name in some})
     return subprocess.run(

@@ -12,6 +12,9 @@ from crazyarena.runner.campaign.gate_fuzz import Call, Outcome, Script, draw_scr
 ALLOWED = 0.10  # m
 
 
+_UP = Call("takeoff", (1.0, 2.0), 2.5)
+
+
 def test_a_seed_is_a_script():
     def names(seed):
         return [(call.name, call.wait) for call in draw_script(seed).calls]
@@ -100,3 +103,39 @@ def test_shrinking_keeps_what_it_needs(monkeypatch):
     script = Script(0, "box", "clamp", 2, 1, "", calls)
     small = shrink(script, lambda outcome: outcome.is_bad(ALLOWED))
     assert [call.name for call in small.calls] == ["b", "e"]
+
+
+@pytest.mark.parametrize("controller", [1, 2])
+@pytest.mark.parametrize(
+    "calls",
+    [
+        [Call("notifySetpointsStop", (), 1.0)],
+        [Call("notifySetpointsStop", (), 0.2), Call("goTo", ([0.0, 0.0, 1.0], 0.0, 2.0), 2.5)],
+        [Call("notifySetpointsStop", (), 0.0), Call("takeoff", (1.5, 1.5), 2.0)],
+        [Call("goTo", ([0.0, 0.0, 1.0], 0.0, 2.0, False, 4), 1.0)],
+        [Call("land", (0.8, 1.0), 2.0)],
+    ],
+    ids=["released", "paused", "taken off", "another group", "landed high up"],
+)
+def test_no_vehicle_in_the_air_is_left_without_motors(monkeypatch, calls, controller):
+    stream = Call("fullState", (0.5, [0.4, 0.0, 1.0], [0.4, 0.0, 0.0], [0.0, 0.0, 0.0]), 0.0)
+    assert _highest_without_motors(monkeypatch, controller, 2, [stream, *calls]) < 0.25
+
+
+def test_velocities_that_mellingers_controller_does_not_follow_drop_no_vehicle(monkeypatch):
+    calls = [Call("cmdVelocityWorld", ([0.3, 0.0, 0.0], 0.0), 0.05)] * 20
+    assert _highest_without_motors(monkeypatch, 2, 1, calls) < 0.25
+
+
+def _highest_without_motors(monkeypatch, controller, api, calls):
+    """m; 1.0 of a vehicle that is dropped, some centimetres of one that is behind its landing."""
+    heights = [0.0]
+    see = gate_fuzz._Watch.see
+
+    def look(self, state, off):
+        see(self, state, off)
+        heights.append(float(state.position[2]) if off else 0.0)
+
+    monkeypatch.setattr(gate_fuzz._Watch, "see", look)
+    fly(Script(0, "box", "clamp", controller, api, "", (_UP, *calls)))
+    return max(heights)
