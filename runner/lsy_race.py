@@ -290,7 +290,8 @@ class LsyRace:
             "episodes_requested": outcome.requested,
             "drones": outcome.drones,
             "seed": outcome.seed,
-            "episodes": [asdict(result) for result in outcome.results],
+            # While it flies they are added one by one.
+            "episodes": [asdict(result) for result in outcome.results] if finished else [],
             "provenance": {
                 "versions": versions(),
                 "machine": machine(),
