@@ -93,7 +93,7 @@ class LsyPlayer:
     """A :class:`~crazyarena.runner.contestant.dialogue.Contestant`; a new controller by every
     :meth:`make`.
 
-    on_drawings: called with the drawings of an answer; None asks for none.
+    Drawings are not asked for: in an arena they would cost time that is needed for flying.
     """
 
     learns = True
@@ -103,14 +103,10 @@ class LsyPlayer:
         seat: Seat,
         config: dict[str, Any],
         translate: Translate,
-        drawn_every: int = 5,
-        on_drawings: Callable[[int, list[Any]], None] | None = None,
     ) -> None:
         self._seat = seat
         self._config = config
         self._translate = translate
-        self._drawn_every = drawn_every
-        self.on_drawings = on_drawings
         self._last: NDArray[np.float32] | None = None
         self.digest = seat.digest
         self.description = seat.description
@@ -134,16 +130,13 @@ class LsyPlayer:
                 bool(info["terminated"]),
                 bool(info["truncated"]),
             )
-        draw = self.on_drawings is not None and question.step % self._drawn_every == 0
         obs: Any = question.obs
-        self._seat.put(LsyQuestion(question.step, told, obs, draw))
+        self._seat.put(LsyQuestion(question.step, told, obs, draw=False))
 
     def wait(self, timeout: float) -> Answer | None:
         answer = self._seat.take(timeout)
         if answer is None:
             return None
-        if answer.drawings and self.on_drawings is not None:
-            self.on_drawings(answer.step, answer.drawings)
         asked: Asked | None = None
         if answer.error is None:
             if answer.finished:
