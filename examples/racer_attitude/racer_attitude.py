@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
 LAG = 0.14  # s, that attitude and rotors are behind
+LEAD = 0.1  # s, before which a new route is not begun
 STIFFNESS = np.array([22.0, 22.0, 30.0])  # 1/s2
 DAMPING = np.array([9.0, 9.0, 11.0])  # 1/s
 INTEGRAL = np.array([4.0, 4.0, 10.0])  # 1/s3
@@ -35,7 +36,7 @@ class RacerAttitude(Controller):
         self.mass = params["mass"]
         self.drag = -np.diag(params["drag_matrix"]) / params["mass"]
         self.least, self.most = 4.0 * params["thrust_min"], 4.0 * params["thrust_max"]
-        self.navigator = Navigator(obs, self.period)
+        self.navigator = Navigator(obs, self.period, LEAD)
         self.bias = np.zeros(3)
         self.step = -round(WAIT * (self.rank or 0) / self.period)
 

@@ -17,6 +17,7 @@ GRAVITY = np.array([0.0, 0.0, 9.81])
 MASS_THRUST = 132000.0  # motor units per N, on board
 MASS_ON_BOARD = {"cf21B_500": 0.0393, "cf2x_T350": 0.0325}  # kg; 0.029 elsewhere
 LAG = 0.14  # s
+LEAD = 0.1  # s, before which a new route is not begun
 LEARN = 4.0  # 1/m2
 INTEGRAL = 4.0  # 1/s3
 STIFFEN = np.array([0.6, 0.3])  # shares of the errors of place and velocity, added to them
@@ -37,7 +38,7 @@ class RacerState(Controller):
         self.drag = -np.diag(params["drag_matrix"]) / params["mass"]
         self.mass, self.mass_on_board = params["mass"], MASS_ON_BOARD.get(model, 0.029)
         self.scale = MASS_THRUST / params["pwm_max"] * 4.0 * params["thrust_max"]
-        self.navigator = Navigator(obs, self.period)
+        self.navigator = Navigator(obs, self.period, LEAD)
         self.bias = np.zeros(3)
         self.behind = 0.0  # 1/s
         self.step = -round(WAIT * (self.rank or 0) / self.period)

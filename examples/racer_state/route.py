@@ -27,6 +27,8 @@ UNEVEN = 1.0  # logarithm of how many times longer a leg's one half may last tha
 SWING = 0.4  # m, by which another way round is tried
 SIGHT, SLOWING = 0.75, 0.5  # m, at which gates are seen; on which it slows down before
 SLOW = 0.5  # m/s, the least through a gate
+THROUGH, ROOM = 0.1, 0.18  # m, before and behind a gate straight on; wanted beside a pole there
+_SHIFTS = np.array([0.0, *(sign * 0.01 * k for k in range(1, 11) for sign in (1, -1))])
 
 
 @dataclass(frozen=True)
@@ -44,11 +46,23 @@ class Limits:
 
     acceleration: float = 5.0
     speed: float = 2.2
+    slow: float = 1.0  # on legs that are to be flown slowly
     unseen_speed: float = 1.35  # where a gate comes into sight that was not seen before
     gate_speed: float = 1.35
     clearance: float = 0.18  # from the drone's centre to any surface
     low: tuple[float, float, float] = (-2.4, -1.4, 0.0)
     high: tuple[float, float, float] = (2.4, 1.4, 1.9)
+
+
+def _aside(centre: np.ndarray, axes: np.ndarray, poles: np.ndarray) -> float:
+    """How far (m) beside its centre, along its second axis, to fly through a gate in which a pole
+    (tops (n, 3)) stands, or right before or behind it."""
+    if not len(poles):
+        return 0.0
+    along, across = ((poles - centre)[:, :2] @ axes[:2, :2]).T
+    depth = np.maximum(np.abs(along) - THROUGH, 0.0)
+    gap = np.hypot(depth[:, None], across[:, None] - _SHIFTS).min(axis=0) - 0.015
+    return float(_SHIFTS[np.argmax(np.minimum(np.minimum(gap, ROOM), 0.2 - np.abs(_SHIFTS)))])
 
 
 def gates_of(obs) -> list[Gate]:
@@ -63,6 +77,7 @@ def gates_of(obs) -> list[Gate]:
     for number, sign in list(zip(sequence, direction, strict=True))[passed:]:
         axes = Rotation.from_quat(obs["gates_quat"][number]).as_matrix()
         centre = np.array(obs["gates_pos"][number], dtype=float)
+        centre += _aside(centre, axes, np.asarray(obs["obstacles_pos"], float)) * axes[:, 1]
         left.append(Gate(centre, sign * axes[:, 0], bool(obs["gates_visited"][number])))
     return left
 
@@ -72,7 +87,7 @@ def bars(gates_pos, gates_quat, obstacles_pos, seen, poles_seen):
 
     What has not been seen is thought to be larger.
     """
-    ends = []
+    ends = [(np.array([0.0, 0.0, -9.0]), np.array([0.0, 0.0, -8.0]), 0.0)]  # never none
     for middle, quat, known in zip(np.asarray(gates_pos, float), gates_quat, seen, strict=True):
         axes = Rotation.from_quat(quat).as_matrix()
         side, up = 0.28 * axes[:, 1], 0.28 * axes[:, 2]
@@ -255,6 +270,7 @@ class Plan:
     """A route in the making, from ``begin`` (s) and the first knot of ``guess`` through ``gates``.
 
     walls: see :class:`Walls`. curvature: that of an earlier plan through the same last gates.
+    slow: on which legs it is to fly slowly (legs,).
     """
 
     def __init__(
@@ -265,6 +281,7 @@ class Plan:
         begin: float,
         guess: tuple[np.ndarray, np.ndarray],
         curvature: np.ndarray | None = None,
+        slow: np.ndarray | None = None,
     ) -> None:
         knots, duration = (rows.copy() for rows in guess)
         self._legs = legs = len(gates) + 1
@@ -285,6 +302,13 @@ class Plan:
         self._low[2] = min(knots[0, 0, 2] - 0.005, 0.25)
         self._bounds = np.empty((2 * legs, 3, SAMPLES))
         self._bounds[:] = np.array([limits.speed, limits.acceleration, 0.0])[:, None]
+        self._top = np.full(2 * legs, limits.speed)
+        self.slow = slow
+        self._weights = np.repeat(_WEIGHTS[None], 2 * legs, axis=0)
+        if slow is not None:
+            slow = np.repeat(slow, 2)
+            self._top[slow], self._weights[slow, 0] = limits.slow, STRICT
+        self._bounds[:, 0] = self._top[:, None]
         # The gate at the end of each piece, if it may turn out to be elsewhere.
         self._unseen = np.array([i for i, gate in enumerate(gates) if not gate.seen], int)
         self._unseen = np.repeat(2 * self._unseen, 2) + np.tile([0, 1], len(self._unseen))
@@ -312,9 +336,12 @@ class Plan:
 
     @property
     def excess(self) -> np.ndarray:
-        """What breaks a limit on each leg, s (legs,): its cost less its time."""
+        """What breaks a limit other than that of speed on each leg, s (legs,): part of its cost."""
         knots, d, _ = self._unpack(self._x)
-        return (d * (self._density(knots, d)[0] - 1.0)).reshape(-1, 2).sum(axis=1)
+        density, _, values, _, _ = self._density(knots, d)
+        fast = np.maximum(np.linalg.norm(values[:, 1], axis=-1) - self._bounds[:, 0], 0.0)
+        density = density - 1.0 - self._weights[:, 0, 0] * (fast**2).mean(axis=1)
+        return (d * density).reshape(-1, 2).sum(axis=1)
 
     @property
     def route(self) -> Route:
@@ -368,15 +395,15 @@ class Plan:
         norm = np.sqrt((values[:, 1:] ** 2).sum(-1) + 1e-9)
         near = self._slow_down(values[:, 0])  # before the bounds are looked at
         over = np.maximum(norm - self._bounds, 0.0)
-        cost = (_WEIGHTS * over**2).sum(1)
-        slopes[:, 1:] = (2.0 * _WEIGHTS * over / norm)[..., None] * values[:, 1:]
+        cost = (self._weights * over**2).sum(1)
+        slopes[:, 1:] = (2.0 * self._weights * over / norm)[..., None] * values[:, 1:]
         points = values[:, 0]
         outside = np.minimum(points - self._low, 0.0) + np.maximum(points - self._high, 0.0)
         crash, push = self._walls.push(points.reshape(-1, 3), self._limits.clearance)
         cost += 3000.0 * (outside**2).sum(-1) + 5000.0 * crash.reshape(pieces, SAMPLES)
         slopes[:, 0] = 6000.0 * outside + 5000.0 * push.reshape(points.shape)
         density = 1.0 + cost.mean(axis=1)
-        too_fast = 2.0 * _WEIGHTS[0] * over[self._unseen, 0]
+        too_fast = 2.0 * self._weights[self._unseen, 0] * over[self._unseen, 0]
         slopes[self._unseen, 0, :, :2] -= too_fast[..., None] * near
         return density, slopes, values, ends, scale
 
@@ -387,8 +414,10 @@ class Plan:
         distance = np.sqrt((offset**2).sum(-1) + 1e-9)
         slope = (limits.speed - limits.unseen_speed) / SLOWING
         bound = limits.unseen_speed + slope * (distance - SIGHT)
-        inside = (bound > limits.unseen_speed) & (bound < limits.speed)
-        self._bounds[self._unseen, 0] = np.clip(bound, limits.unseen_speed, limits.speed)
+        top = self._top[self._unseen, None]
+        least = np.minimum(limits.unseen_speed, top)
+        inside = (bound > least) & (bound < top)
+        self._bounds[self._unseen, 0] = np.clip(bound, least, top)
         return (inside * slope / distance)[..., None] * offset
 
     def improve(self, tries: int) -> None:
@@ -441,3 +470,4 @@ class Plan:
 
 
 _WEIGHTS = np.array([4.0, 2.0, 2e-4])[:, None]  # of too much speed, acceleration, and of all jerk
+STRICT = 30.0  # of too much speed where it is to fly slowly: not through what is in the way

@@ -119,3 +119,75 @@ def test_what_turns_out_elsewhere_is_flown_to_smoothly(planning, monkeypatch):
     # It went through where the gate really was.
     assert obs["n_gates_passed"] == 1
     assert navigator.route.gate_times
+
+
+@pytest.mark.parametrize("across", [-0.12, -0.05, 0.05, 0.12])
+def test_a_gate_with_a_pole_in_it_is_passed_beside_the_pole(planning, across):
+    route, _ = planning
+    obs = told()
+    gate = obs["gates_pos"][0]
+    axes = route.Rotation.from_quat(obs["gates_quat"][0]).as_matrix()
+    obs["obstacles_pos"][0] = [*(gate + across * axes[:, 1])[:2], 1.55]
+    offset = route.gates_of(obs)[0].centre - gate
+    aside = offset @ axes[:, 1]
+    assert np.abs(offset - aside * axes[:, 1]).max() < 1e-9
+    assert aside * across < 0.0
+    assert abs(aside) <= 0.1
+    # As far from the pole as from the frame, or nearly.
+    assert abs(aside - across) > 0.1
+    # Elsewhere the middle is taken.
+    obs["obstacles_pos"][0] = [0.0, 0.75, 1.55]
+    assert route.gates_of(obs)[0].centre == pytest.approx(gate)
+
+
+def test_it_stands_still_before_what_no_plan_leads_round(planning):
+    """The gate turns out to be full of poles: nothing is touched, and the reference never jumps."""
+    route, pilot = planning
+    obs = told()
+    obs["obstacles_pos"] = np.vstack([obs["obstacles_pos"], np.full((5, 3), [9.0, 9.0, 1.55])])
+    obs["obstacles_visited"] = np.zeros(9, bool)
+    navigator = pilot.Navigator(obs, PERIOD, 0.1)
+    gate = obs["gates_pos"][0]
+    axes = route.Rotation.from_quat(obs["gates_quat"][0]).as_matrix()
+    fence = [gate + (0.1 * k - 0.2) * axes[:, 1] for k in range(5)]
+    before, jump, near, t, stood = None, 0.0, 9.0, 0.0, None
+    while t < 6.0 and stood is None:
+        if before is not None and np.hypot(*(before[0] - gate)[:2]) < 0.7:
+            obs["gates_visited"][0] = True
+            obs["obstacles_visited"][4:] = True
+            obs["obstacles_pos"][4:, :2] = np.array(fence)[:, :2]
+        if before is not None:
+            obs["pos"], obs["vel"] = before[0], before[1]
+        navigator.look(obs, t)
+        now = navigator.reference(t)
+        if before is not None and t > pilot.TAKE_OFF + PERIOD:
+            steps = PERIOD * (before[1] + now[1]) / 2
+            jump = max(jump, float(np.abs(now[0] - before[0] - steps).max()))
+            near = min(near, *(float(np.hypot(*(now[0] - pole)[:2])) for pole in fence))
+        if navigator.rest is not None and np.linalg.norm(now[1]) < 0.01:
+            stood = t
+        before, t = now, t + PERIOD
+    assert stood is not None
+    assert near > 0.1 + 0.015
+    assert jump < 3e-3
+
+
+def test_speed_alone_does_not_make_a_way_unsound(planning):
+    """Only what is too close, or too sharp a turn, has another way looked for."""
+    route, _ = planning
+    obs = told()
+    obs["obstacles_pos"] = np.full((1, 3), [0.0, 0.0, 9.0])
+    obs["obstacles_visited"] = np.ones(1, bool)
+    gates = route.gates_of(obs)[:1]
+    walls = route.Walls(np.array([[9.0, 9, 9]]), np.array([[9.0, 9, 8]]), np.zeros(1))
+    start = np.array([[-1.5, 0.75, 0.7], [2.0, -0.5, 0.0], [0.0, 0.0, 0.0]])
+    guess = route.first_guess(start, gates, 0.35, 0.0)
+    slow = np.ones(2, bool)
+    free, strict = (
+        route.Plan(gates, walls, route.Limits(), 0.4, guess, None, which) for which in (None, slow)
+    )
+    assert strict.cost > free.cost + 1.0
+    assert strict.excess == pytest.approx(free.excess)
+    strict.improve(300)
+    free.improve(300)
+    assert strict.route.end > free.route.end
