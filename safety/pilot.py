@@ -168,11 +168,22 @@ class SafePilot:
         x, y, z = as_point(setpoint.position)
         told = as_point(setpoint.velocity)[2], as_point(setpoint.acceleration)[2]
         z -= model.floats
+        busy = steerable.is_busy(obs.upright, steerable.tipping(obs.rates))
+        least = steerable.LEAST_LIFT if busy else steerable.CALM_LIFT
         if not self._descending:  # one that stands on something is told to be far below
-            z = steerable.lowest(model, place[2], self._velocity[2], z, *told)
-        if steerable.is_busy(obs.upright, steerable.tipping(obs.rates)):
+            z = steerable.lowest(model, place[2], self._velocity[2], z, *told, least)
+        if busy:
             z = steerable.highest(model, place[2], self._velocity[2], z, *told)
-        return replace(setpoint, position=(x, y, z))
+        vx, vy, vz = as_point(setpoint.velocity)
+        if vz <= 0.0 or not model.follows_velocity:
+            return replace(setpoint, position=(x, y, z))
+        # The same thrust asked for by the place alone: should the link be lost now, the firmware
+        # levels the vehicle out with the vertical speed of its last setpoint.
+        ax, ay, az = as_point(setpoint.acceleration)
+        z += (model.damping[2] * vz + model.feed[2] * az) / model.stiffness[2]
+        return replace(
+            setpoint, position=(x, y, z), velocity=(vx, vy, 0.0), acceleration=(ax, ay, 0.0)
+        )
 
     def _begin(self, obs: Observation) -> None:
         self._begun = self._moved = obs.time
