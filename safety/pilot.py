@@ -174,16 +174,13 @@ class SafePilot:
             z = steerable.lowest(model, place[2], self._velocity[2], z, *told, least)
         if busy:
             z = steerable.highest(model, place[2], self._velocity[2], z, *told)
-        vx, vy, vz = as_point(setpoint.velocity)
-        if vz <= 0.0 or not model.follows_velocity:
-            return replace(setpoint, position=(x, y, z))
-        # The same thrust asked for by the place alone: should the link be lost now, the firmware
-        # levels the vehicle out with the vertical speed of its last setpoint.
         ax, ay, az = as_point(setpoint.acceleration)
-        z += (model.damping[2] * vz + model.feed[2] * az) / model.stiffness[2]
-        return replace(
-            setpoint, position=(x, y, z), velocity=(vx, vy, 0.0), acceleration=(ax, ay, 0.0)
-        )
+        if az >= 0.0 or not model.follows_velocity:
+            return replace(setpoint, position=(x, y, z))
+        # Braking is asked for by the place: firmware that hears no more levels the vehicle out
+        # without the acceleration of its last setpoint, which would let it up again.
+        z += model.feed[2] * az / model.stiffness[2]
+        return replace(setpoint, position=(x, y, z), acceleration=(ax, ay, 0.0))
 
     def _begin(self, obs: Observation) -> None:
         self._begun = self._moved = obs.time

@@ -194,18 +194,21 @@ def test_a_climb_far_below_the_ceiling_is_braked_gently_near_it_harder():
     assert braking(1.9) == pytest.approx(hardest, abs=0.1)
 
 
-def test_a_hold_that_is_the_last_word_does_not_go_on_climbing():
-    """Firmware that hears no more levels out with the vertical speed it was told last."""
+def test_a_hold_that_is_the_last_word_brakes_by_the_place_it_tells():
+    """Firmware that hears no more levels out without the acceleration it was told last."""
     pilot = SafePilot(fence(), Limits())
     moving = {"position": (0.0, 0.0, 1.2), "velocity": (1.0, 0.0, 2.0)}
     pilot.see(flying(0.0, **moving))
     told = first_setpoint(pilot, 0.01, **moving)
-    assert told.velocity[2] == told.acceleration[2] == 0.0
-    assert told.velocity[0] > 0.5
+    assert told.acceleration[2] == 0.0
+    assert slowed(told, 1.2, 2.0) > 2.5
+    # By so little that other gains than the model's are worth no more than a tenth of it.
+    assert told.position[2] > 1.2 - 0.2
+    assert told.velocity[2] == pytest.approx(2.0, abs=0.1)
     sinking = {"position": (0.0, 0.0, 1.2), "velocity": (0.0, 0.0, -1.0)}
     pilot = SafePilot(fence(), Limits())
     pilot.see(flying(0.0, **sinking))
-    assert first_setpoint(pilot, 0.01, **sinking).velocity[2] < -0.5
+    assert first_setpoint(pilot, 0.01, **sinking).acceleration[2] > 1.0
 
 
 @pytest.mark.parametrize(
