@@ -22,8 +22,9 @@ def tables(pairs: Sequence[Pair], vehicle: Vehicle) -> list[Any]:
     from rich import box
     from rich.table import Table
 
-    each = Table(title=f"{vehicle.name} against real flights", box=box.SIMPLE_HEAD, padding=(0, 1))
-    each.add_column("flight", no_wrap=True, max_width=_NAME)
+    title = f"{vehicle.name} against real flights"
+    each = Table(title=title, box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
+    each.add_column("flight", overflow="fold", min_width=7, max_width=_NAME)
     each.add_column("", no_wrap=True)
     for name in ("RMSE", "aligned", "lag", "x", "y", "z", "hover"):
         each.add_column(name, justify="right", no_wrap=True)
@@ -42,7 +43,7 @@ def tables(pairs: Sequence[Pair], vehicle: Vehicle) -> list[Any]:
         "m; lag ms behind reality; x, y, z mean offset cm; aligned: best clock offset within 50 ms"
     )
     of = Table(title="Medians", box=box.SIMPLE_HEAD, padding=(0, 1))
-    of.add_column("", no_wrap=True)
+    of.add_column("", overflow="fold")
     for name in medians(pairs):
         of.add_column(name, justify="right", no_wrap=True)
     rows = (
