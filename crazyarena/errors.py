@@ -8,9 +8,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from crazyarena.plain_text import shown
+
 
 class CrazyarenaError(Exception):
-    """Base of all errors that describe wrong input or a refused action."""
+    """Base of all errors that describe wrong input or a refused action.
+
+    What it quotes of a file or a contestant is shown with control characters escaped, so that
+    neither the command line nor a script's traceback hands them to a terminal.
+    """
+
+    def __str__(self) -> str:
+        return shown(super().__str__())
 
 
 class InputError(CrazyarenaError):

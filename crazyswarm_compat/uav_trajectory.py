@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import os
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from crazyarena.bounded_read import read_text
 from crazyarena.errors import InputError
+from crazyarena.plain_text import shown_line
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
 _COEFFICIENTS = 8
@@ -157,11 +160,7 @@ class Trajectory:
             naming file, row and what was found.
         """
         path = os.fspath(filename)
-        try:
-            with open(path, encoding="utf-8-sig") as file:  # spreadsheets mark their UTF-8
-                lines = file.read().splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{path}: cannot read the trajectory: {error}") from error
+        lines = read_text(Path(path), "trajectory").splitlines()
         pieces = []
         first = next((n for n, line in enumerate(lines, start=1) if line.strip()), None)
         for number, line in enumerate(lines, start=1):
@@ -176,7 +175,7 @@ class Trajectory:
             try:
                 row = np.array([float(field) for field in fields])
             except ValueError as error:
-                raise InputError(f"{path}, line {number}: {error}") from None
+                raise InputError(f"{path}, line {number}: {shown_line(str(error))}") from None
             if not np.isfinite(row).all() or row[0] <= 0:
                 raise InputError(
                     f"{path}, line {number}: duration {row[0]}; durations must be > 0 and all "

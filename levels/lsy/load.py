@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from crazyarena.errors import InputError
-from crazyarena.levels.document import Node
+from crazyarena.levels.document import Node, read_text
 from crazyarena.levels.fields import assign, assignment, validate
 from crazyarena.levels.lsy.schema import PER_DRONE, RACE, LsyLevel
 from crazyarena.levels.lsy.toml_document import read_toml
@@ -87,10 +87,7 @@ def load_lsy_level(
 def lsy_text(name_or_path: str | Path) -> str:
     """The file of a level as it is; raises InputError if it cannot be read."""
     path, shown = _place(name_or_path)
-    try:
-        return path.read_text("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{shown}: cannot read the file: {error}") from error
+    return read_text(path, shown)
 
 
 def _place(name_or_path: str | Path) -> tuple[Path, str]:

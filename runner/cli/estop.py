@@ -10,6 +10,10 @@ import typer
 from crazyarena.plain_text import shown_line
 from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
 
+# Letters: however they are escaped, they fit into the one message that a listener reads, and a
+# request to land is not cut off into a stop.
+_MOST_REASON = 150
+
 
 def register(app: typer.Typer) -> None:
     app.command("estop")(estop)
@@ -46,6 +50,7 @@ def estop(
     from crazyarena.safety.estop_local import LANDING, STOPPED, TESTED, stop_local
 
     found = answered = False
+    reason = shown_line(reason, _MOST_REASON)
     with bad_input_exits():
         # The nearest first; nothing that could fail comes before it.
         good = LANDING if land else TESTED if test else STOPPED

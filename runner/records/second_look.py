@@ -6,8 +6,8 @@ forged without flying; who forges the recording as well is kept out by walls alo
 (``--require-sandbox``).
 
 Run as a module it reads JSON from standard input: ``level`` (YAML), and ``episodes`` with ``file``
-and what was said of each (``_CLAIMS``); it answers with a list of what is not borne out by episode,
-"" for nothing.
+and what was said of each (``_CLAIMS``, ``flight_time``); it answers with a list of what is not
+borne out by episode, "" for nothing.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ from crazyarena.sim_backend.trace import TRACE_SIZE
 
 _PATIENCE = 120.0  # s
 _CLAIMS = ("completed", "gates_passed", "collisions", "violations")
+# The last step's start is told, and the recording has the last tick, some of a step later.
+_SAME_TIME = 0.25  # s
 
 
 def judged_again(level: Level, file: Path) -> dict[str, Any]:
@@ -47,6 +49,7 @@ def judged_again(level: Level, file: Path) -> dict[str, Any]:
     referee = Referee(level)
     referee.begin(np.array(gates), np.array(obstacles))
     found: dict[str, Any] = {**dict.fromkeys(_CLAIMS, 0), "completed": False}
+    found["flight_time"] = float(steps[-1]) if len(steps) else 0.0
     # The verdict of a control step is that of its last tick.
     ends = np.searchsorted(rows[:, 0], steps + 1e-9, side="right")
     for begin, end in itertools.pairwise([0, *ends.tolist()]):
@@ -83,6 +86,8 @@ def _doubt(level: Level, episode: dict[str, Any]) -> str:
     except (CrazyarenaError, KeyError, ValueError, IndexError) as error:
         return f"its recording cannot be judged again: {error}"
     wrong = [name for name in _CLAIMS if found[name] != episode[name]]
+    if not abs(found["flight_time"] - episode["flight_time"]) <= _SAME_TIME:
+        wrong.append("flight_time")
     return ", ".join(
         f"{name.replace('_', ' ')}: {episode[name]} said, {found[name]} recorded" for name in wrong
     )
@@ -103,6 +108,7 @@ def look_again(level: Level, folder: Path, recorded: list[EpisodeResult]) -> lis
     asked = [
         {
             "file": str(folder / episode.files["recording"]),
+            "flight_time": float(episode.flight_time),
             "completed": bool(episode.completed),
             "gates_passed": int(episode.gates_passed),
             "collisions": int(episode.collisions),

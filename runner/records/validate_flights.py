@@ -7,7 +7,6 @@ named columns (``.csv``). SI units; yaw in rad.
 from __future__ import annotations
 
 import csv
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from crazyarena.crazyswarm_compat import commands as c
 from crazyarena.errors import InputError
 from crazyarena.runner.records import export
+from crazyarena.runner.records.validate_archive import unpacked
 from crazyarena.runner.records.validate_commands import end_of, read_commands, sent_command
 from crazyarena.runner.records.validate_units import check_units
 
@@ -164,11 +164,7 @@ _NPZ: dict[str, tuple[tuple[tuple[str, float], ...], int, str]] = {
 
 
 def _npz(file: Path, controller: str | None, high_level: bool) -> RealFlight:
-    try:
-        with np.load(file, allow_pickle=False) as archive:
-            held = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise InputError(f"{file}: not a NumPy archive: {error}") from error
+    held = unpacked(file)
     time = _npz_time(file, held)
     fields: dict[str, Series] = {}
     for name, (names, columns, unit) in _NPZ.items():

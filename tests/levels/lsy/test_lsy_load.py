@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crazyarena.errors import InputError
-from crazyarena.levels.lsy import is_lsy_level, load_lsy_level, shipped_lsy_levels
+from crazyarena.levels.lsy import is_lsy_level, load_lsy_level, lsy_text, shipped_lsy_levels
 from crazyarena.levels.lsy import load as module
 from crazyarena.levels.lsy.toml_document import parse_toml
 
@@ -233,3 +233,14 @@ def test_what_a_race_does_not_heed_is_warned_of(tmp_path):
     ignored, first = level.warnings
     assert "env.control_mode: ignored; a race has it in env.kwargs" in ignored
     assert "control_mode: the first one's is that of all drones" in first
+
+
+@pytest.mark.parametrize("content", [None, b"\xff\xfe", bytes(1 << 24)])
+def test_what_is_no_level_is_refused_in_one_line(tmp_path, content):
+    file = Path("/dev/zero") if content is None else tmp_path / "level.toml"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(InputError) as error:
+        lsy_text(file)
+    assert str(file) in str(error.value)
+    assert "\n" not in str(error.value)

@@ -148,14 +148,33 @@ def test_honest_flights_are_borne_out(tmp_path):
         (file, *_) = sorted((tmp_path / "out").glob("*.mcap"))
         claim = {"file": str(file), "completed": True, "gates_passed": 4}
         claim |= {"collisions": 0, "violations": 0}
+        claim["flight_time"] = second_look.judged_again(load_level("level1"), file)["flight_time"]
         claim[name] = claim[name] + 1 if index else False
         told = second_look.judged_again(load_level("level1"), file)
         assert [k for k in told if told[k] != claim[k]] == [name]
+
+
+def test_a_time_that_was_not_flown_is_not_borne_out(tmp_path):
+    run = DryRun(
+        example_racer(),
+        "level1",
+        [],
+        1,
+        out=tmp_path / "out",
+        figure=False,
+        console=Console(file=io.StringIO()),
+    )
+    (episode,) = run.run().episodes
+    assert episode.doubt == ""
+    episode.flight_time = 3.2
+    (told,) = second_look.look_again(load_level("level1"), tmp_path / "out", [episode])
+    assert "flight time: 3.2 said" in told
 
 
 def test_a_recording_that_cannot_be_read_bears_out_nothing(tmp_path):
     file = tmp_path / "none.mcap"
     file.write_bytes(b"nothing")
     claim = {"file": str(file), "completed": True, "gates_passed": 0, "collisions": 0}
-    (told,) = second_look.doubts(dump_level(LEVEL2), [claim | {"violations": 0}])
+    claim |= {"violations": 0, "flight_time": 0.0}
+    (told,) = second_look.doubts(dump_level(LEVEL2), [claim])
     assert "cannot be judged again" in told
