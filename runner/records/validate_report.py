@@ -15,22 +15,31 @@ from crazyarena.runner.records.validate import PURE_DELAY, Pair, medians
 from crazyarena.sim_backend.vehicles import Vehicle
 
 _NAME = 20  # characters
+_ROOMY = 80
 
 
-def tables(pairs: Sequence[Pair], vehicle: Vehicle) -> list[Any]:
-    """Rich tables that fit 80 columns: a row a flight, then the medians of each controller."""
+def tables(pairs: Sequence[Pair], vehicle: Vehicle, width: int = 80) -> list[Any]:
+    """Rich tables that fit 60 columns: a row a flight, then the medians of each controller.
+
+    width: characters, of the terminal; where they are few, columns stand close and names fold.
+    """
     from rich import box
+    from rich.markup import escape
     from rich.table import Table
 
-    each = Table(title=f"{vehicle.name} against real flights", box=box.SIMPLE_HEAD, padding=(0, 1))
-    each.add_column("flight", no_wrap=True, max_width=_NAME)
+    each = Table(
+        title=f"{vehicle.name} against real flights",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1) if width >= _ROOMY else 0,
+    )
+    each.add_column("flight", overflow="fold", max_width=_NAME)
     each.add_column("", no_wrap=True)
     for name in ("RMSE", "aligned", "lag", "x", "y", "z", "hover"):
         each.add_column(name, justify="right", no_wrap=True)
     for pair in pairs:
         o = pair.outcome
         each.add_row(
-            _short(o.name),
+            escape(shown_line(o.name)),
             o.controller[:3],
             _number(o.rmse),
             _number(o.aligned),
@@ -70,13 +79,6 @@ def tables(pairs: Sequence[Pair], vehicle: Vehicle) -> list[Any]:
     return [each, of]
 
 
-def _short(name: str) -> str:
-    from rich.markup import escape
-
-    name = shown_line(name)
-    return escape(name) if len(name) <= _NAME else escape(name[: _NAME - 1]) + "…"
-
-
 def _number(value: float) -> str:
     return f"{value:.3f}" if math.isfinite(value) else "-"
 
@@ -105,7 +107,7 @@ def save_figure(file: Path, pairs: Sequence[Pair], vehicle: Vehicle) -> None:
             top.plot(path[:, 0], path[:, 1], color=colour, lw=1.0, label=label)
             height.plot(time - start, path[:, 2], color=colour, lw=1.0)
         top.set_aspect("equal", adjustable="datalim")
-        top.set_title(f"{_short(o.name)} ({o.controller})", fontsize=8)
+        top.set_title(f"{shown_line(o.name)[:40]} ({o.controller})", fontsize=8)
         apart.plot(time - start, np.linalg.norm(simulated - real, axis=1), color="C3", lw=1.0)
         apart.axhline(o.rmse, color="0.5", lw=0.8)
         apart.set_title(

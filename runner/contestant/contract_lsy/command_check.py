@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from crazyarena.errors import CommandError
 
+_MODES = {13: "state", 4: "attitude"}  # by numbers of a command
+
 
 def _holds_text(answer: Any) -> bool:
     """Whether NumPy would read numbers out of text."""
@@ -36,6 +38,11 @@ def checked_command(answer: Any, size: int, step: int) -> NDArray[np.float64]:
             f"step {step}: compute_control returned text among its numbers; expected {size} "
             f"numbers {what}. Convert them with float()"
         )
+    if answer is None:
+        raise CommandError(
+            f"step {step}: compute_control returned nothing (None); expected {size} numbers "
+            f"{what}. A path through it has no return"
+        )
     try:
         command = np.array(answer, dtype=np.float64)
     except (TypeError, ValueError):
@@ -44,10 +51,15 @@ def checked_command(answer: Any, size: int, step: int) -> NDArray[np.float64]:
             f"expected {size} numbers {what}"
         ) from None
     if command.size != size or command.ndim > 2:
-        raise CommandError(
+        text = (
             f"step {step}: compute_control returned numbers of shape {list(command.shape)}; "
             f"expected {size} {what}"
         )
+        if command.size in _MODES:
+            # Complete commands, of the other mode: the level is what does not fit.
+            have, need = _MODES[size], _MODES[command.size]
+            text += f"; this is {have} mode, {need} mode is --set env.control_mode={need}"
+        raise CommandError(text)
     command = command.reshape(size)
     if not np.isfinite(command).all():
         raise CommandError(f"step {step}: compute_control returned a number that is not finite")

@@ -68,13 +68,17 @@ class Flown:
         return kinds
 
 
+class NothingFlown(InputError):
+    """A recording of an episode that was over before its first step."""
+
+
 def read_flown(file: Path) -> Flown:
-    """Read a recording; raises InputError if it holds no flight."""
+    """Read a recording; raises InputError if it is none, NothingFlown if it holds no flight."""
     records = read_records(file)
     recording = export.read(file, records)
     states = recording.tables.get("state")
     if states is None or not len(states):
-        raise InputError(f"{file}: holds no flight: no row of topic /state")
+        raise NothingFlown(f"{file}: holds no flight: no row of topic /state")
     named = {column: k for k, column in enumerate(recording.columns["state"])}
     rows = states[thinned(len(states), _ROWS)]
 

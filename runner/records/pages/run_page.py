@@ -14,7 +14,7 @@ from crazyarena.runner.records.bodies import gate_openings
 from crazyarena.runner.records.compare import compare
 from crazyarena.runner.records.pages.charts import Line, chart
 from crazyarena.runner.records.pages.compare_page import comparison
-from crazyarena.runner.records.pages.flown import Flown, read_flown, scene
+from crazyarena.runner.records.pages.flown import Flown, NothingFlown, read_flown, scene
 from crazyarena.runner.records.pages.page import folded, page, section, table, text, wide
 from crazyarena.runner.records.pages.race import named, races
 
@@ -104,7 +104,10 @@ def _flights(run: Path, episodes: Sequence[dict[str, Any]]) -> list[str]:
     parts = []
     for i in sorted(order):
         file = _recording(run, episodes[i])
-        inner = "" if file is None else flight(read_flown(file))
+        try:
+            inner = "" if file is None else flight(read_flown(file))
+        except NothingFlown:
+            inner = "<p>Nothing was flown.</p>"
         inner += _details(episodes[i])
         parts.append(folded(f"Episode {named(episodes[i], i)}: {_why(episodes[i])}",
                             inner, shut=i != first))  # fmt: skip

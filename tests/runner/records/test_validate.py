@@ -161,15 +161,16 @@ def test_a_planner_on_board_gives_velocities_too(npz):
     np.testing.assert_allclose(pulls, 0.6 * 1.3**2, atol=0.1)
 
 
-def test_report_fits_the_terminal_and_is_written(npz, tmp_path):
+@pytest.mark.parametrize("width", [60, 80])
+def test_report_fits_the_terminal_and_is_written(npz, tmp_path, width):
     from rich.console import Console
 
     pairs = va.validate([npz], load_vehicle())
-    console = Console(width=80, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
-    for one in tables(pairs, load_vehicle()):
+    console = Console(width=width, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
+    for one in tables(pairs, load_vehicle(), width):
         console.print(one)
     text = console.export_text()
-    assert max(len(line) for line in text.splitlines()) <= 80
+    assert max(len(line) for line in text.splitlines()) <= width
     first = next(line for line in text.splitlines() if "circle" in line)
     assert "…" not in first
     save_figure(tmp_path / "v.png", pairs, load_vehicle())
