@@ -170,6 +170,9 @@ def _bounds(flown: Flown) -> tuple[Array, Array]:
     if flown.level is not None:
         return np.array(flown.level.arena.low), np.array(flown.level.arena.high)
     path = flown.position[np.isfinite(flown.position).all(axis=1)]
+    # What stands there is to be seen, however short the flight was.
+    stands = [body.corners() for entity in flown.entities[:200] for body in bodies(entity)]
+    path = np.vstack([path, *stands])
     if not len(path):
         return np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0])
     return np.minimum(path.min(axis=0) - 0.5, 0.0), path.max(axis=0) + 0.5
