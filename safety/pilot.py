@@ -168,11 +168,19 @@ class SafePilot:
         x, y, z = as_point(setpoint.position)
         told = as_point(setpoint.velocity)[2], as_point(setpoint.acceleration)[2]
         z -= model.floats
+        busy = steerable.is_busy(obs.upright, steerable.tipping(obs.rates))
+        least = steerable.LEAST_LIFT if busy else steerable.CALM_LIFT
         if not self._descending:  # one that stands on something is told to be far below
-            z = steerable.lowest(model, place[2], self._velocity[2], z, *told)
-        if steerable.is_busy(obs.upright, steerable.tipping(obs.rates)):
+            z = steerable.lowest(model, place[2], self._velocity[2], z, *told, least)
+        if busy:
             z = steerable.highest(model, place[2], self._velocity[2], z, *told)
-        return replace(setpoint, position=(x, y, z))
+        ax, ay, az = as_point(setpoint.acceleration)
+        if az >= 0.0 or not model.follows_velocity:
+            return replace(setpoint, position=(x, y, z))
+        # Braking is asked for by the place: firmware that hears no more levels the vehicle out
+        # without the acceleration of its last setpoint, which would let it up again.
+        z += model.feed[2] * az / model.stiffness[2]
+        return replace(setpoint, position=(x, y, z), acceleration=(ax, ay, 0.0))
 
     def _begin(self, obs: Observation) -> None:
         self._begun = self._moved = obs.time

@@ -17,6 +17,7 @@ from crazyarena.safety.flight_model import GRAVITY, FlightModel
 # asked to climb with then, of what they have over the weight (racers ask for all of it at times).
 _TIPS, _LEANS, _AMPLE = 2.0, 0.9, 1.5
 LEAST_LIFT = 0.4  # of the weight, that keeps rotors turning
+CALM_LIFT = 0.25  # and of one that is upright and does not tip
 
 
 def tipping(rates: Sequence[float]) -> float:
@@ -47,11 +48,18 @@ def highest(
 
 
 def lowest(
-    model: FlightModel, height: float, climb: float, place: float, velocity: float, push: float
+    model: FlightModel,
+    height: float,
+    climb: float,
+    place: float,
+    velocity: float,
+    push: float,
+    least: float = LEAST_LIFT,
 ) -> float:
-    """Height, m, from ``place`` on, that any vehicle may be told whose rotors are to turn."""
+    """Height, m, from ``place`` on, that any vehicle may be told whose rotors are to lift
+    ``least`` of its weight."""
     if not model.follows_velocity:
         return place
     taken = model.feed[2] * push + model.damping[2] * (velocity - climb)
-    falls = (LEAST_LIFT - 1.0) * GRAVITY
+    falls = (least - 1.0) * GRAVITY
     return max(place, height - model.floats + (falls - taken) / model.stiffness[2])

@@ -81,7 +81,7 @@ def validate(
                 high_level=high_level,
                 on_flight=lambda done, of: status.update(f"flight {done} of {of}"),
             )
-        for table in tables(pairs, model, console.width):
+        for table in tables(pairs, model):
             console.print(table)
         folder = out if out is not None else Path.cwd()
         try:

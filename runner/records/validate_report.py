@@ -15,31 +15,23 @@ from crazyarena.runner.records.validate import PURE_DELAY, Pair, medians
 from crazyarena.sim_backend.vehicles import Vehicle
 
 _NAME = 20  # characters
-_ROOMY = 80
 
 
-def tables(pairs: Sequence[Pair], vehicle: Vehicle, width: int = 80) -> list[Any]:
-    """Rich tables that fit 60 columns: a row a flight, then the medians of each controller.
-
-    width: characters, of the terminal; where they are few, columns stand close and names fold.
-    """
+def tables(pairs: Sequence[Pair], vehicle: Vehicle) -> list[Any]:
+    """Rich tables that fit 80 columns: a row a flight, then the medians of each controller."""
     from rich import box
-    from rich.markup import escape
     from rich.table import Table
 
-    each = Table(
-        title=f"{vehicle.name} against real flights",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1) if width >= _ROOMY else 0,
-    )
-    each.add_column("flight", overflow="fold", max_width=_NAME)
+    title = f"{vehicle.name} against real flights"
+    each = Table(title=title, box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
+    each.add_column("flight", overflow="fold", min_width=7, max_width=_NAME)
     each.add_column("", no_wrap=True)
     for name in ("RMSE", "aligned", "lag", "x", "y", "z", "hover"):
         each.add_column(name, justify="right", no_wrap=True)
     for pair in pairs:
         o = pair.outcome
         each.add_row(
-            escape(shown_line(o.name)),
+            _short(o.name),
             o.controller[:3],
             _number(o.rmse),
             _number(o.aligned),
@@ -51,7 +43,7 @@ def tables(pairs: Sequence[Pair], vehicle: Vehicle, width: int = 80) -> list[Any
         "m; lag ms behind reality; x, y, z mean offset cm; aligned: best clock offset within 50 ms"
     )
     of = Table(title="Medians", box=box.SIMPLE_HEAD, padding=(0, 1))
-    of.add_column("", no_wrap=True)
+    of.add_column("", overflow="fold")
     for name in medians(pairs):
         of.add_column(name, justify="right", no_wrap=True)
     rows = (
@@ -77,6 +69,13 @@ def tables(pairs: Sequence[Pair], vehicle: Vehicle, width: int = 80) -> list[Any
             ),
         )
     return [each, of]
+
+
+def _short(name: str) -> str:
+    from rich.markup import escape
+
+    name = shown_line(name)
+    return escape(name) if len(name) <= _NAME else escape(name[: _NAME - 1]) + "…"
 
 
 def _number(value: float) -> str:
@@ -107,7 +106,7 @@ def save_figure(file: Path, pairs: Sequence[Pair], vehicle: Vehicle) -> None:
             top.plot(path[:, 0], path[:, 1], color=colour, lw=1.0, label=label)
             height.plot(time - start, path[:, 2], color=colour, lw=1.0)
         top.set_aspect("equal", adjustable="datalim")
-        top.set_title(f"{shown_line(o.name)[:40]} ({o.controller})", fontsize=8)
+        top.set_title(f"{_short(o.name)} ({o.controller})", fontsize=8)
         apart.plot(time - start, np.linalg.norm(simulated - real, axis=1), color="C3", lw=1.0)
         apart.axhline(o.rmse, color="0.5", lw=0.8)
         apart.set_title(

@@ -7,6 +7,7 @@ import math
 import pytest
 
 from crazyarena.crazyswarm_compat.commands import FullState
+from crazyarena.safety import steerable
 from crazyarena.safety.events import Action
 from crazyarena.safety.flight_model import GRAVITY
 from crazyarena.safety.limits import Limits
@@ -78,7 +79,7 @@ def test_a_climb_is_braked_gently_and_the_rest_as_hard_as_ever():
     pilot.see(flying(0.0, velocity=moving))
     told = first_setpoint(pilot, 0.01, velocity=moving)
     # Rotors that stand still cannot steer: something of gravity must be left to carry.
-    assert told.acceleration[2] == pytest.approx(-2.5)
+    assert slowed(told, 1.0, moving[2]) == pytest.approx(2.5, abs=0.1)
     # Sideways it would be stopped together with the rest, but for being so slow.
     assert told.acceleration[0] == pytest.approx(-0.5 * Limits().braking)
     sinking = SafePilot(fence(), Limits())
@@ -140,6 +141,11 @@ def asked(told: FullState, height: float, climb: float) -> float:
     return float(push + model.stiffness[2] * (z - height))
 
 
+def slowed(told: FullState, height: float, climb: float) -> float:
+    """m/s2 downwards that the setpoint asks for."""
+    return -asked(told, height, climb) / Limits().vehicle.feed[2]
+
+
 @pytest.mark.parametrize("busy", [{"rates": (-5.0, 0.0, 0.0)}, {"quaternion": tilted(0.6)}])
 def test_a_hold_leaves_a_vehicle_that_tips_what_it_needs_to_be_upright(busy):
     """Sinking fast, it would be stopped with all thrust there is, and go over."""
@@ -179,11 +185,46 @@ def test_a_climb_far_below_the_ceiling_is_braked_gently_near_it_harder():
         pilot = SafePilot(fence(), Limits())
         moving = {"position": (0.0, 0.0, height), "velocity": (0.0, 0.0, 1.8)}
         pilot.see(flying(0.0, **moving))
-        return -float(first_setpoint(pilot, 0.01, **moving).acceleration[2])
+        return slowed(first_setpoint(pilot, 0.01, **moving), height, 1.8)
 
-    assert braking(0.5) == pytest.approx(2.5)
+    assert braking(0.5) == pytest.approx(2.5, abs=0.1)
     assert 2.6 < braking(1.3) < 5.0
-    assert braking(1.9) == pytest.approx(0.6 * GRAVITY)
+    # As hard as rotors that must go on turning allow.
+    hardest = (1.0 - steerable.CALM_LIFT) * GRAVITY / Limits().vehicle.feed[2]
+    assert braking(1.9) == pytest.approx(hardest, abs=0.1)
+
+
+def test_a_hold_that_is_the_last_word_brakes_by_the_place_it_tells():
+    """Firmware that hears no more levels out without the acceleration it was told last."""
+    pilot = SafePilot(fence(), Limits())
+    moving = {"position": (0.0, 0.0, 1.2), "velocity": (1.0, 0.0, 2.0)}
+    pilot.see(flying(0.0, **moving))
+    told = first_setpoint(pilot, 0.01, **moving)
+    assert told.acceleration[2] == 0.0
+    assert slowed(told, 1.2, 2.0) > 2.5
+    # By so little that other gains than the model's are worth no more than a tenth of it.
+    assert told.position[2] > 1.2 - 0.2
+    assert told.velocity[2] == pytest.approx(2.0, abs=0.1)
+    sinking = {"position": (0.0, 0.0, 1.2), "velocity": (0.0, 0.0, -1.0)}
+    pilot = SafePilot(fence(), Limits())
+    pilot.see(flying(0.0, **sinking))
+    assert first_setpoint(pilot, 0.01, **sinking).acceleration[2] > 1.0
+
+
+@pytest.mark.parametrize(
+    ("busy", "least"), [({}, 0.25), ({"rates": (-5.0, 0.0, 0.0)}, 0.4)], ids=["calm", "tips"]
+)
+def test_what_lift_is_left_to_one_that_must_not_climb(busy, least):
+    pilot = SafePilot(fence(), Limits())
+    moving = {"position": (0.0, 0.0, 1.95), "velocity": (0.0, 0.0, 0.3)}
+    for k in range(60):
+        obs = flying(0.02 * k, **moving, **busy)
+        pilot.see(obs)
+        sent = pilot.update(Action.HOLD, obs)
+    # The rest is far below by now.
+    (told,) = sent or [None]
+    push = asked(told, 1.95, 0.3)
+    assert push == pytest.approx((least - 1.0) * GRAVITY, abs=0.05)
 
 
 def test_a_spin_is_not_stopped_at_once():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -165,14 +166,20 @@ def test_a_planner_on_board_gives_velocities_too(npz):
 def test_report_fits_the_terminal_and_is_written(npz, tmp_path, width):
     from rich.console import Console
 
-    pairs = va.validate([npz], load_vehicle())
+    longer = npz.with_name("B10_circle_at_a_length_of_its_name_fast_rep1.npz")
+    longer.write_bytes(npz.read_bytes())
+    pairs = va.validate([longer], load_vehicle())
     console = Console(width=width, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
-    for one in tables(pairs, load_vehicle(), width):
+    for one in tables(pairs, load_vehicle()):
         console.print(one)
     text = console.export_text()
     assert max(len(line) for line in text.splitlines()) <= width
-    first = next(line for line in text.splitlines() if "circle" in line)
-    assert "…" not in first
+    outcome = pairs[0].outcome
+    for number in (f"{outcome.rmse:.3f}", f"{1000 * outcome.lag:+.0f}", f"{outcome.offset[0]:.1f}"):
+        assert number in text
+    assert f"{outcome.strength:.2f}" in text
+    # Of a long name the end is given up, of numbers nothing.
+    assert not re.search(r"[0-9.+-]…|hov…", text)
     save_figure(tmp_path / "v.png", pairs, load_vehicle())
     assert (tmp_path / "v.png").stat().st_size > 10_000
     data = va.summary(pairs, load_vehicle(), "flight")
