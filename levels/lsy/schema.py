@@ -33,6 +33,8 @@ MAX_STEPS = 1500
 
 SINGLE, RACE = "DroneRacing-v0", "MultiDroneRacing-v0"
 """``env.id`` of one drone alone, and of several on one track."""
+MOST_OFFSET = 100.0
+"""m, by which something may be drawn away from its place."""
 PER_DRONE = ("freq", "sensor_range", "control_mode")
 """What a race has in ``env.kwargs``, one table a drone, instead of in ``env``."""
 
@@ -111,6 +113,16 @@ class Spec(Open):
         except ValueError:
             return False
         return True
+
+    @property
+    def reach(self) -> float:
+        """Largest number that it gives; of a normal one that of a standard deviation."""
+        ends = (self.low, self.high) if self.fn == "uniform" else (-1.0, 1.0)
+        scale, offset = np.array(self.scale), np.array(self.offset)
+        try:
+            return max(float(np.max(np.abs(np.array(end) * scale + offset))) for end in ends)
+        except ValueError:
+            return 0.0  # of shapes that do not go together, which is told elsewhere
 
     def bounds(self, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray] | None:
         """Lowest and highest value, or None where there is none (``normal``)."""
@@ -205,6 +217,16 @@ class LsyRandomizations(BaseModel):
     gate_pos: Spec | None = None
     gate_rpy: Spec | None = None
     obstacle_pos: Spec | None = None
+
+    @model_validator(mode="after")
+    def _within_reach(self) -> Self:
+        for name in ("drone_pos", "gate_pos", "obstacle_pos"):
+            spec = getattr(self, name)
+            if spec is not None and spec.reach > MOST_OFFSET:
+                raise invalid(
+                    f"expected offsets within {MOST_OFFSET:g} m, found {spec.reach:g}", name
+                )
+        return self
 
     @model_validator(mode="before")
     @classmethod

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from crazyarena.errors import InputError
 from crazyarena.plain_text import shown_line
-from crazyarena.runner.contestant.contract_lsy.submission import find_controller
+from crazyarena.runner.contestant.contract_lsy.submission import controller_class, find_controller
 from crazyarena.runner.contestant.submission import entry_file
 
 _METHODS = {
@@ -50,6 +50,12 @@ def findings(path: Path, contract: str) -> Iterator[Finding]:
     assert entry is not None
     tree = _parsed(entry)
     controller = _controller(tree, contract)
+    if controller is None and contract == "lsy":
+        # It inherits compute_control from a class in a file beside it.
+        name = controller_class(entry)
+        controller = next(
+            n for n in ast.walk(tree) if isinstance(n, ast.ClassDef) and n.name == name
+        )
     if controller is None:
         raise InputError(f"{entry}: no class Controller in this file")
     yield _contract(entry, controller, contract)

@@ -7,8 +7,10 @@ recordings: by the same level, seed and submission they are the same to the byte
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import itertools
+import shlex
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -61,6 +63,7 @@ def check(
     submission: Path,
     need: str | None = None,
     say: Callable[[str], None] = lambda text: None,
+    overrides: Sequence[str] = (),
 ) -> list[Finding]:
     """Look at a submission of either contract, fly it, and say what was found.
 
@@ -68,6 +71,7 @@ def check(
     ----------
     need: hardest level that has to be completed; the contract's level 0 by default.
     say: told what happens now.
+    overrides: ``FIELD=VALUE`` of every level, such as ``env.control_mode=attitude``.
 
     Raises
     ------
@@ -81,7 +85,7 @@ def check(
         raise InputError(f"--need {wanted}: expected one of {', '.join(levels)}")
     last = max(_SHOWN, levels.index(wanted) + 1)
     with tempfile.TemporaryDirectory(prefix="crazyarena-check-") as folder:
-        return list(_findings(path, contract, levels[:last], wanted, Path(folder), say))
+        return list(_findings(path, contract, levels[:last], wanted, Path(folder), say, overrides))
 
 
 def _findings(
@@ -91,9 +95,12 @@ def _findings(
     wanted: str,
     folder: Path,
     say: Callable[[str], None],
+    overrides: Sequence[str],
 ) -> Iterator[Finding]:
     yield from source.findings(path, contract)
-    fly = _fly_2022 if contract == "2022" else _fly_lsy
+    if contract == "2022":
+        overrides = ("reseed_on_reset=false", *overrides)
+    fly = functools.partial(_fly_2022 if contract == "2022" else _fly_lsy, overrides)
     flights: dict[str, _Flown] = {}
     for level in levels:
         say(f"flying {level}")
@@ -110,10 +117,12 @@ def _findings(
     yield from _habits(first, contract)
     need_index = levels.index(wanted)
     for index, (level, flown) in enumerate(flights.items()):
-        yield _level(level, flown, index <= need_index, path, contract)
+        yield _level(level, flown, index <= need_index, path, overrides)
 
 
-def _fly_2022(path: Path, level: str, out: Path, episodes: int, sandbox: bool) -> _Flown:
+def _fly_2022(
+    overrides: Sequence[str], path: Path, level: str, out: Path, episodes: int, sandbox: bool
+) -> _Flown:
     from crazyarena.runner.dry_run import DryRun
     from crazyarena.runner.trial.options import FlightOptions
 
@@ -122,7 +131,7 @@ def _fly_2022(path: Path, level: str, out: Path, episodes: int, sandbox: bool) -
         run = DryRun(
             path,
             level,
-            overrides=["reseed_on_reset=false"],
+            overrides=overrides,
             episodes=episodes,
             seed=_SEED,
             out=out,
@@ -146,13 +155,16 @@ def _fly_2022(path: Path, level: str, out: Path, episodes: int, sandbox: bool) -
     )
 
 
-def _fly_lsy(path: Path, level: str, out: Path, episodes: int, sandbox: bool) -> _Flown:
+def _fly_lsy(
+    overrides: Sequence[str], path: Path, level: str, out: Path, episodes: int, sandbox: bool
+) -> _Flown:
     from crazyarena.runner.lsy_run import LsyRun
 
     with _listening() as heard:
         run = LsyRun(
             path,
             level,
+            overrides,
             episodes=episodes,
             seed=_SEED,
             out=out,
@@ -282,7 +294,9 @@ def _asked(recording: Path) -> list[int]:
     return [verb for verb in verbs if verb != VERBS["NONE"]]
 
 
-def _level(level: str, flown: _Flown, needed: bool, path: Path, contract: str) -> Finding:
+def _level(
+    level: str, flown: _Flown, needed: bool, path: Path, overrides: Sequence[str]
+) -> Finding:
     done = sum(flown.completed)
     if done == _EPISODES:
         seconds = sum(flown.times) / len(flown.times)
@@ -292,9 +306,9 @@ def _level(level: str, flown: _Flown, needed: bool, path: Path, contract: str) -
     error = "" if flown.error is None else flown.error.strip().splitlines()[-1]
     if error not in worst:
         found = f"{found}: {shown_line(error, 300)}"
-    draws = " --set reseed_on_reset=false" if contract == "2022" else ""
+    settings = "".join(f" --set {shlex.quote(override)}" for override in overrides)
     remedy = (
         f"See it: crazyarena dry-run {path} --level {level} --seed {_SEED} --episodes "
-        f"{_EPISODES}{draws}"
+        f"{_EPISODES}{settings}"
     )
     return Finding(level, False if needed else None, found, remedy)

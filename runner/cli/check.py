@@ -22,6 +22,15 @@ def check(
         str | None,
         typer.Option(metavar="LEVEL", help="Hardest level to be completed. Default: level 0."),
     ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="FIELD=VALUE",
+            help="Override a field of the levels: env.control_mode=attitude for a controller of "
+            "lsy_drone_racing that answers with attitudes.",
+        ),
+    ] = None,
 ) -> None:
     """Check contract, timing and common mistakes of a submission, and fly it through three levels.
 
@@ -38,7 +47,7 @@ def check(
         lsy = (need or "").startswith("lsy/")
         compile_missing(("successor",) if lsy else ("competition", "referee"), console)
         with console.status("looking") as status:
-            found = checked(submission, need, status.update)
+            found = checked(submission, need, status.update, set_ or [])
         table = Table(box=None, show_header=False, padding=(0, 1))
         table.add_column(no_wrap=True)
         table.add_column(no_wrap=True)

@@ -45,6 +45,7 @@ def evaluate(
     level or controller are at fault before anything has flown.
     """
     with bad_input_exits():
+        import contextlib
         import json
         import sys
 
@@ -54,6 +55,8 @@ def evaluate(
         from crazyarena.runner.lsy_run import ENOUGH, LsyRun, summary, tell
 
         console = Console(file=sys.stderr) if as_json else Console()
+        # What a controller prints must not get into the document.
+        prints = contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext()
         run = LsyRun(
             controller,
             level,
@@ -67,7 +70,8 @@ def evaluate(
             require_sandbox=require_sandbox,
             console=console,
         )
-        result = run.run()
+        with prints:
+            result = run.run()
         tell(result, console)
         if result.cut_short is not None:
             raise StorageError(result.cut_short)

@@ -22,6 +22,9 @@ _OF_BRAKING = 0.8  # share of what the watchdog would brake with
 _ASIDE = 0.25  # m from the fence, from where it flies home
 _HOME_ASIDE = 0.1  # m from the fence, at home
 _DRAW_BACK = 0.4  # m/s on the way there
+_GATE_HALF = 0.36  # m, of a gate's frame
+_GATE_CLEAR = 0.45  # m from a gate's plane, from where nothing of it is above
+_GATE_NEAR = 0.35  # m from its plane, within which it is in the way up
 _SETTLED = 0.5  # s at rest before it goes on
 _SWINGS = 3.0  # s more for a vehicle that still swings
 _MOST_OFF = 0.2  # m, by which a vehicle is believed to hover off the height it is told
@@ -95,7 +98,7 @@ class Homecoming(Hands):
         self._land_here()
 
     def _stop_moving(self) -> tuple[Array, float]:
-        """Brake, and draw back from the fence; the place (3,) m and heading where it then stays.
+        """Brake, draw back from the fence and out of a gate; the place (3,) m and heading there.
 
         A plan that begins on the move swings out by a fifth of its duration times the speed: too
         much for a run that ended close to the fence. By how much the vehicle hovers above its
@@ -109,7 +112,7 @@ class Homecoming(Hands):
         braking = speed / self._deceleration()
         rest = begin + 0.5 * braking * velocity
         rest[2] = max(rest[2], begin[2], DOWN + 0.1)
-        inside = self._inside(rest, _ASIDE)
+        inside = self._out_of_gates(self._inside(rest, _ASIDE), velocity)
         away = inside - rest
         if speed < STILL and not away.any():
             return begin, yaw
@@ -133,6 +136,28 @@ class Homecoming(Hands):
             off = float(self._estimate().state.position[2] - inside[2])
             self._off = float(np.clip(off, -_MOST_OFF, _MOST_OFF))
         return inside, yaw
+
+    def _out_of_gates(self, place: Array, velocity: Array) -> Array:
+        """``place`` (3,) m, or one before or behind the gate that it is in: the next way is up.
+
+        Runs end at the last gate, and who is slow there comes to rest in its opening. Onward if
+        the fence leaves room for that, else back.
+        """
+        for gate in self._level.track.gates:
+            cos, sin = np.cos(gate.yaw), np.sin(gate.yaw)
+            offset = place - np.array(gate.centre)
+            across = float(offset[0] * cos + offset[1] * sin)
+            along = float(offset[1] * cos - offset[0] * sin)
+            top = _GATE_HALF + 0.1
+            if abs(along) > _GATE_NEAR or abs(across) > _GATE_HALF + 0.15 or offset[2] > top:
+                continue
+            pace = float(velocity[1] * cos - velocity[0] * sin)
+            onward = float(np.copysign(_GATE_CLEAR, pace if abs(pace) > 0.05 else along))
+            for wanted in (onward, -onward):
+                there = place + (wanted - along) * np.array([-sin, cos, 0.0])
+                if np.allclose(self._inside(there, _ASIDE), there):
+                    return there
+        return place
 
     def _swings(self) -> bool:
         return float(np.linalg.norm(self._estimate().state.velocity)) > STILL

@@ -41,6 +41,7 @@ class LsyPilot:
         self._info = dict(info or {})
         full = level_config(config)
         self._size = 4 if full.env.control_mode == "attitude" else 13
+        self._draws = True
         self._controller = None
         self._controller = self._submission.make(fresh(obs), dict(self._info), full)
 

@@ -18,6 +18,7 @@ import os
 import sys
 import types
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,46 +37,121 @@ _IGNORED = {"__pycache__", ".git", "results", "runs", "c_generated_code", ".venv
 _MODEL = "CRAZYARENA_DRONE_MODEL"
 
 
-def _controllers(file: Path) -> list[str]:
-    """Names of classes in a file that say they derive from lsy_drone_racing's Controller."""
+_Trees = dict[Path, ast.Module | None]
+
+
+@dataclass(frozen=True)
+class _Kinds:
+    """Of one file: its own classes that derive from Controller, every name by which it knows such
+    a class, and the files that those of others come from."""
+
+    own: frozenset[str] = frozenset()
+    known: frozenset[str] = frozenset()
+    bases: frozenset[Path] = frozenset()
+
+
+def _tree(file: Path) -> ast.Module | None:
     try:
         check_code(file)
-        tree = ast.parse(file.read_bytes(), filename=str(file))
-    except (OSError, SyntaxError, ValueError):
-        return []
-    bases: set[str] = set()
+        return ast.parse(file.read_bytes(), filename=str(file))
+    except (OSError, SyntaxError, ValueError, RecursionError):
+        return None
+
+
+def _neighbour(module: str, folder: Path) -> Path | None:
+    """File in a controller's folder, or in its package, that a module's name stands for."""
+    parts = module.split(".")
+    if parts[0] != _PACKAGE:
+        places = [folder.joinpath(*parts)]
+    else:
+        places = [bundle_root(folder / "x.py").joinpath(*parts[1:])]
+        if parts[1:2] == ["control"]:
+            places.insert(0, folder.joinpath(*parts[2:]))
+    files = (file for place in places for file in (Path(f"{place}.py"), place / "__init__.py"))
+    return next((file for file in files if file.is_file()), None)
+
+
+def _kinds(file: Path, folder: Path, seen: dict[Path, _Kinds], trees: _Trees) -> _Kinds:
+    """What a file beside a controller says of its classes; bases may stand in its neighbours."""
+    if file in seen:
+        return seen[file]
+    seen[file] = _Kinds()  # while it is read: imports may go in a circle
+    if file not in trees:
+        trees[file] = _tree(file)
+    tree = trees[file]
+    if tree is None:
+        return seen[file]
+    known: set[str] = set()
+    sources: dict[str, Path] = {}
     for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(_PACKAGE):
-            bases |= {a.asname or a.name for a in node.names if a.name == "Controller"}
-    found = []
-    for node in tree.body:
+        if isinstance(node, ast.Import):
+            wanted = [(alias.name, "", "") for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            wanted = [(node.module or "", a.name, a.asname or a.name) for a in node.names]
+        else:
+            continue
+        for module, name, alias in wanted:
+            if module.partition(".")[0] == _PACKAGE:
+                known |= {"Controller", alias} if name == "Controller" else {"Controller"}
+            beside = _neighbour(module, folder)
+            theirs = _Kinds() if beside is None else _kinds(beside, folder, seen, trees)
+            found = {name: alias} if name in theirs.known else {}
+            if not found:
+                # A module's classes are named as its attributes, or all at once with a star.
+                if name not in ("", "*"):
+                    beside = _neighbour(f"{module}.{name}", folder)
+                    theirs = _Kinds() if beside is None else _kinds(beside, folder, seen, trees)
+                found = {kind: kind for kind in theirs.known}
+            known |= set(found.values())
+            if beside is not None:
+                sources |= {alias: beside for kind, alias in found.items() if kind in theirs.own}
+    own: set[str] = set()
+    bases: set[Path] = set()
+    for node in ast.walk(tree):
         if isinstance(node, ast.ClassDef):
             names = {
                 base.id if isinstance(base, ast.Name) else getattr(base, "attr", "")
                 for base in node.bases
             }
-            if names & bases or ("Controller" in names and _PACKAGE in file.read_text("utf-8")):
-                found.append(node.name)
-                bases.add(node.name)
-    return found
+            if names & known:
+                own.add(node.name)
+                bases |= {sources[name] for name in names & sources.keys()}
+                known.add(node.name)
+    seen[file] = _Kinds(frozenset(own), frozenset(known), frozenset(bases))
+    return seen[file]
 
 
 def find_controller(path: Path) -> Path | None:
     """The file of a controller of lsy_drone_racing, or None if this is none.
+
+    In a folder a file whose classes another one there derives from is no controller itself.
 
     Raises
     ------
     InputError: a folder with several of them.
     """
     if path.is_file():
-        return path if path.suffix == ".py" and _controllers(path) else None
+        return path if path.suffix == ".py" and _kinds(path, path.parent, {}, {}).own else None
     if not path.is_dir() or (path / "edit_this.py").is_file():
         return None
-    found = [file for file in sorted(path.glob("*.py")) if _controllers(file)]
+    # Each from its own point of view: where imports go in a circle it matters who begins.
+    trees: _Trees = {}
+    kinds = {file: _kinds(file, path, {}, trees) for file in sorted(path.glob("*.py"))}
+    bases = {base for kind in kinds.values() for base in kind.bases}
+    found = [file for file, kind in kinds.items() if kind.own and file not in bases]
     if len(found) > 1:
         names = ", ".join(file.name for file in found[:6])
         raise InputError(f"{path}: several controllers ({names}). Pass the file of one")
     return found[0] if found else None
+
+
+def controller_class(file: Path) -> str:
+    """Name of the last class in a controller's file that derives from Controller."""
+    trees: _Trees = {}
+    own = _kinds(file, file.parent, {}, trees).own
+    tree = trees[file]
+    nodes = ast.walk(tree) if tree is not None else ()
+    return [n.name for n in nodes if isinstance(n, ast.ClassDef) and n.name in own][-1]
 
 
 def controller_file(submission: Path, level: str) -> Path:

@@ -72,6 +72,7 @@ def test_what_each_level_draws():
         ('"DroneRacing-v0"', '"MultiDroneRacing-v0"', "env.id", "several drones"),
         ("minval = -0.005", "minval = 0.5", "env.randomizations.drone_mass.kwargs", "<= maxval"),
         ("minval = -0.005", "mean = 0.5", "env.randomizations.drone_mass.kwargs", "minval"),
+        ("[0.15, 0.15, 0.1]", "[1e9, 0.15, 0.1]", "env.randomizations.gate_pos", "within 100 m"),
         ("scale = 0.001", "scale = [1.0, 2.0]", "env.disturbances.action", "broadcast"),
     ],
 )  # fmt: skip

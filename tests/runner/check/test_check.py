@@ -12,7 +12,7 @@ from crazyarena.runner.check.submission import check
 from crazyarena.runner.cli import make_app
 from crazyarena.runner.contestant.shipped import make
 from tests.runner.fakes import controller
-from tests.runner.lsy_controllers import HEAD
+from tests.runner.lsy_controllers import ATTITUDE, HEAD
 
 HOVER = "if time == 0: return Command.TAKEOFF, [0.75, 1.0]\n        return Command.NONE, []"
 
@@ -69,6 +69,18 @@ def test_need_names_the_levels_of_the_contract(tmp_path):
     make(tmp_path / "mine", "lsy")
     with pytest.raises(InputError, match=r"expected one of lsy/level0, .*lsy/level3"):
         check(tmp_path / "mine", "level0")
+
+
+def test_a_controller_that_answers_with_attitudes_and_inherits_how(tmp_path):
+    (tmp_path / "base.py").write_text(ATTITUDE)
+    mine = tmp_path / "mine.py"
+    mine.write_text("from base import Hover\n\nclass Mine(Hover):\n    pass\n")
+    wrong = lines(check(mine))
+    assert "--set env.control_mode=attitude" in wrong["lsy/level0"].found
+    found = lines(check(mine, overrides=["env.control_mode=attitude"]))
+    assert "class Mine" in found["contract"].found
+    assert "CONTROLLER FINISHED" in found["lsy/level0"].found
+    assert found["lsy/level0"].remedy.endswith("--episodes 3 --set env.control_mode=attitude")
 
 
 def entry(tmp_path, source):

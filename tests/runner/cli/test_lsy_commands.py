@@ -85,9 +85,11 @@ def test_evaluation_counts_and_exits_by_half(call):
     mean, rate = good.output.strip().splitlines()[-1].split(",")
     assert float(mean) == pytest.approx(13.86, abs=0.1)
     assert rate == "1.00"
-    bad = call(controller("return np.zeros(13)"), *arguments, "--json")
+    talks = controller("print('{told}'); return np.zeros(13)")
+    bad = call(talks, *arguments, "--json")
     assert bad.exit_code == 1
-    document = json.loads(bad.stdout[bad.stdout.index("{") :])
+    assert "{told}" in bad.stderr
+    document = json.loads(bad.stdout)
     assert document["passed"] is False
     assert document["mean_time"] is None
     assert [r["termination"] for r in document["runs"]] == ["CONTROLLER FINISHED"] * 2

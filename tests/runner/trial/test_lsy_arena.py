@@ -11,6 +11,7 @@ from rich.console import Console
 
 from crazyarena.errors import InputError
 from crazyarena.runner.dry_run import DryRun
+from crazyarena.runner.records import export
 from crazyarena.runner.records.mcap_records import read_records
 from crazyarena.runner.trial.entry import Entry2022, EntryLsy, default_level, enter
 from crazyarena.runner.trial.options import FlightOptions
@@ -55,6 +56,39 @@ def test_state_mode_from_the_floor_to_the_last_gate_and_home(fly, tmp_path):
     assert document["provenance"]["rig"]["vehicle"] == "cf21b"
     metadata = read_records(tmp_path / "out" / "episode_000.mcap").metadata
     assert metadata["contract"] == "lsy_drone_racing"
+
+
+def test_who_is_slow_at_the_last_gate_leaves_it_before_the_way_up(fly, tmp_path):
+    level = tmp_path / "one.toml"
+    level.write_text(
+        "[env.track]\ngates = [{pos = [0.0, 0.0, 1.0], rpy = [0.0, 0.0, 0.0]}]\n"
+        "drones = [{pos = [-1.0, 0.0, 0.01]}]\n"
+    )
+    source = (
+        HEAD
+        + """
+class Slow(Controller):
+    steps = 0
+
+    def compute_control(self, obs, info=None):
+        t = self.steps / 50
+        x = -1.0 + 0.2 * min(max(t - 3.0, 0.0), 6.5)
+        return np.array([x, 0.0, min(0.5 * t, 0.9), *np.zeros(10)])
+
+    def step_callback(self, *args):
+        self.steps += 1
+        return False
+"""
+    )
+    episode = fly(source, level=str(level)).episodes[0]
+    assert episode.termination == "GATES PASSED", episode.why
+    assert episode.error is None
+    table = export.read(tmp_path / "out" / "episode_000.mcap")
+    first = table.columns["state"].index("position_0")
+    x, _, z = table.tables["state"][:, first : first + 3].T
+    assert z.max() > 1.4
+    # Nowhere near where the upper bar is; the way home leads over it.
+    assert not np.any((np.abs(x) < 0.2) & (z > 1.16) & (z < 1.46))
 
 
 def test_attitude_mode_goes_as_attitudes(fly, tmp_path):

@@ -14,6 +14,7 @@ from crazyarena.runner.contestant.contract_lsy.command_check import checked_comm
 from crazyarena.runner.contestant.contract_lsy.submission import (
     LsySubmission,
     bundle_root,
+    controller_class,
     find_controller,
 )
 from crazyarena.runner.lsy_run import LsyRun
@@ -104,7 +105,6 @@ def test_who_thinks_longer_than_a_step_is_told():
         ("return np.zeros(4)", r"shape \[4\]; expected 13"),
         ("return np.full(13, np.nan)", "not finite"),
         ("return np.zeros(4)", "--set env.control_mode=attitude"),
-        ("return None", r"returned nothing \(None\); expected 13"),
         ("return 'up'", "returned str"),
         ("import sys; sys.exit(3)", "SystemExit"),
     ],
@@ -225,6 +225,66 @@ def test_an_imported_helper_class_does_not_count(tmp_path):
     assert fly(tmp_path, source).error is None
 
 
+_BASE = (
+    HEAD
+    + """
+class Base(Controller):
+    def compute_control(self, obs, info=None):
+        return self.command()
+"""
+)
+_OWN = """
+class Mine({}):
+    def command(self):
+        return [0.0] * 13
+"""
+
+
+@pytest.mark.parametrize(
+    ("files", "imports", "base"),
+    [
+        ({"base": _BASE}, "from base import Base", "Base"),
+        ({"base": _BASE}, "from lsy_drone_racing.control.base import Base as Kind", "Kind"),
+        ({"base": _BASE}, "import base", "base.Base"),
+        ({"base": _BASE}, "from lsy_drone_racing.control import base", "base.Base"),
+        ({"base": _BASE}, "from base import *", "Base"),
+        ({"base": _BASE, "more": "from base import Base\nclass Upper(Base):\n    pass\n"},
+         "from more import Upper", "Upper"),
+        ({"base": "import mine\n" + _BASE}, "from base import Base", "Base"),
+        ({}, "from lsy_drone_racing import control", "control.Controller"),
+    ],
+)  # fmt: skip
+def test_a_controller_whose_base_stands_beside_it_is_found(tmp_path, files, imports, base):
+    folder = tmp_path / "submission"
+    folder.mkdir()
+    for name, text in files.items():
+        (folder / f"{name}.py").write_text(text)
+    mine = folder / "mine.py"
+    mine.write_text(imports + "\n" + _OWN.format(base))
+    assert find_controller(mine) == mine
+    assert find_controller(folder) == mine
+    assert controller_class(mine) == "Mine"
+    if files and "import mine" not in files["base"]:
+        assert LsyRun(folder, "lsy/level0", seed=1).run().error is None
+
+
+def test_who_only_uses_another_controller_is_none_of_its_kind(tmp_path):
+    one, two = tmp_path / "one.py", tmp_path / "two.py"
+    one.write_text(STATE)
+    two.write_text("import one\n" + HEAD + "\nclass Mine(Controller):\n    pass\n")
+    with pytest.raises(InputError, match=r"one\.py, two\.py"):
+        find_controller(tmp_path)
+    two.write_text("import one\n\nclass Helper:\n    pass\n")
+    assert find_controller(tmp_path) == one
+
+
+def test_a_file_may_be_written_in_another_encoding(tmp_path):
+    file = tmp_path / "mine.py"
+    source = "# coding: latin-1\n# Z\u00fcrich\nfrom lsy_drone_racing import control\n"
+    file.write_bytes((source + "class A(control.Controller):\n    pass\n").encode("latin-1"))
+    assert find_controller(file) == file
+
+
 def test_names_are_gone_after_a_failed_load(tmp_path):
     file = tmp_path / "bad.py"
     file.write_text(HEAD + "1 / 0\n")
@@ -235,8 +295,8 @@ def test_names_are_gone_after_a_failed_load(tmp_path):
 def test_drawings_are_recorded_and_their_failures_only_told(tmp_path):
     from mcap.reader import make_reader
 
-    def scenes(folder):
-        with open(folder / "episode_000.mcap", "rb") as stream:
+    def scenes(folder, episode=0):
+        with open(folder / f"episode_00{episode}.mcap", "rb") as stream:
             return [json.loads(m.data) for _, _, m in make_reader(stream).iter_messages(["/scene"])]
 
     assert fly(tmp_path, STATE, record=True).clean
@@ -249,6 +309,14 @@ def test_drawings_are_recorded_and_their_failures_only_told(tmp_path):
     broken = STATE.replace("draw_line(sim", "raise ValueError; draw_line(sim")
     assert fly(tmp_path, broken, record=True, out=tmp_path / "second").clean
     assert len(scenes(tmp_path / "second")) == 1
+    # What failed in one episode is tried again by the controller of the next.
+    once = (
+        "global DRAWN; DRAWN += 1\n        if DRAWN == 1: raise ValueError\n        draw_line(sim"
+    )
+    source = STATE.replace("class F", "DRAWN = 0\n\nclass F").replace("draw_line(sim", once)
+    assert fly(tmp_path, source, record=True, out=tmp_path / "third", episodes=2).clean
+    assert len(scenes(tmp_path / "third")) == 1
+    assert len(scenes(tmp_path / "third", 1)) > 50
 
 
 def test_config_is_a_dictionary_with_attributes():
@@ -261,6 +329,9 @@ def test_config_is_a_dictionary_with_attributes():
     with pytest.raises(AttributeError, match="it has a, items"):
         _ = config.nothing
     assert level_config({"sim": {"dynamics": "so_rpy"}}).sim.physics == "so_rpy"
+    bare = level_config({"env": {"track": {"gates": [{}, {}]}}})
+    assert (bare.sim.drone_model, bare.sim.physics) == ("cf21B_500", "first_principles")
+    assert (bare.env.freq, bare.env.sensor_range, bare.env.track.gate_order) == (50, 0.5, [1, 2])
 
 
 @pytest.mark.parametrize("size", [4, 13])
@@ -271,3 +342,19 @@ def test_commands_are_checked(size):
     for bad in (given[1:], [None] * size, [[1], [2, 3]], {}, np.full(size, np.inf)):
         with pytest.raises(CommandError, match="step 7"):
             checked_command(bad, size, 7)
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (None, "returned nothing.*end with a return"),
+        (np.zeros(13, complex), "complex numbers.*np.real"),
+        ([0.0] * 12 + [1j], "complex numbers"),
+        ([0.0] * 9 + [float("nan")] + [0.0] * 3, r"entry 9 \(yaw\) is nan"),
+        (np.ma.masked_all(13), "not finite"),
+        (np.zeros(4), r"state mode; 4 numbers want --set env\.control_mode=attitude"),
+    ],
+)
+def test_a_bad_command_is_told_with_what_to_do(answer, words):
+    with pytest.raises(CommandError, match=words):
+        checked_command(answer, 13, 0)
