@@ -35,6 +35,7 @@ from crazyarena.sim_backend.successor_race import SuccessorRace
 from crazyarena.viewer_process import View, ViewOptions
 
 _THEIRS = Path("lsy_drone_racing", "control")
+_ROOMY = 72  # characters that a table with times of computing needs
 
 
 def race_controllers(given: Sequence[Path], level: LsyLevel, file: Path | None) -> list[Path]:
@@ -66,6 +67,11 @@ def race_controllers(given: Sequence[Path], level: LsyLevel, file: Path | None) 
             "or one for all"
         )
     return [controller_file(path, level.name) for path in given]
+
+
+def _shown_name(file: Path) -> str:
+    """For people: the file's, or its folder's where that says no more than what all are."""
+    return file.parent.name if file.stem == "controller" and file.parent.name else file.stem
 
 
 def _named(name: str, number: int, level: Path) -> Path:
@@ -145,7 +151,7 @@ class LsyRace:
         self.out = out
         self.seed = settled_seed(level, seed, secret)
         self._files = list(controllers)
-        self._names = [file.stem for file in self._files]
+        self._names = [_shown_name(file) for file in self._files]
         self._episodes = episodes
         self._record = record
         self._require = require_sandbox
@@ -308,18 +314,22 @@ class LsyRace:
         }
 
 
-def race_table(outcome: RaceOutcome) -> Any:
-    """Rich table, a row a drone and race."""
+def race_table(outcome: RaceOutcome, width: int) -> Any:
+    """Rich table, a row a drone and race; ``width``: characters, of the terminal.
+
+    Where there is no room for all, times of computing are left to ``result.json``.
+    """
     from rich import box
     from rich.markup import escape
     from rich.table import Table
 
     view = Table(box=box.SIMPLE, header_style="bold", collapse_padding=True, pad_edge=False)
-    view.add_column("#", justify="right")
-    view.add_column("drone", justify="right")
-    view.add_column("controller", no_wrap=True)
-    view.add_column("outcome", overflow="fold")
-    for name in ("place", "time s", "gates", "compute ms\np50/max"):
+    view.add_column("#", justify="right", no_wrap=True)
+    view.add_column("drone", justify="right", no_wrap=True)
+    view.add_column("controller", overflow="fold")
+    view.add_column("outcome", overflow="fold", min_width=14)
+    roomy = width >= _ROOMY
+    for name in ("place", "time s", "gates", *(["ms\np50/max"] if roomy else [])):
         view.add_column(name, justify="right", no_wrap=True)
     for r in outcome.results:
         style = "green" if r.success else "red"
@@ -331,14 +341,14 @@ def race_table(outcome: RaceOutcome) -> Any:
             "" if r.place is None else str(r.place),
             f"{r.time:.2f}",
             f"{r.gates_passed}/{r.gates}",
-            computing(r.compute_ms),
+            *([computing(r.compute_ms)] if roomy else []),
         )
     return view
 
 
 def tell_race(outcome: RaceOutcome, console: Console) -> None:
     """Print the table, notes and errors."""
-    console.print(race_table(outcome))
+    console.print(race_table(outcome, console.width))
     for r in outcome.results:
         for note in r.notes:
             text = shown(f"episode {r.index}, drone {r.drone}: {note}")

@@ -411,8 +411,8 @@ def lsy_table(result: LsyResult) -> Any:
     from rich.table import Table
 
     view = Table(box=box.SIMPLE, header_style="bold", collapse_padding=True, pad_edge=False)
-    view.add_column("#", justify="right")
-    view.add_column("outcome", overflow="fold")
+    view.add_column("#", justify="right", no_wrap=True)
+    view.add_column("outcome", overflow="fold", min_width=14)
     for name in ("time s", "gates", "compute ms\np50/max"):
         view.add_column(name, justify="right", no_wrap=True)
     for e in result.episodes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -156,7 +157,9 @@ def _unknown(node: Node, model: type[BaseModel]) -> list[str]:
     allowed = {*model.model_fields, *_KNOWN.get(node.path, set())} - set(_OURS) - {"warnings"}
     for key, child in node.value.items():
         if key not in allowed:
-            found.append(f"{child.source}: {child.path}: not known here, ignored")
+            close = difflib.get_close_matches(key, sorted(allowed), n=1)
+            hint = f"; did you mean '{close[0]}'?" if close else ""
+            found.append(f"{child.source}: {child.path}: not known here, ignored{hint}")
             continue
         if key not in model.model_fields:
             continue

@@ -174,7 +174,7 @@ def _fly_lsy(
         result = run.run()
     period = 1e3 / run.level.env.freq
     return _Flown(
-        ["; ".join([e.termination, *e.notes[:1]]) for e in result.episodes],
+        ["; ".join([e.why or e.termination, *e.notes[:1]]) for e in result.episodes],
         [e.success for e in result.episodes],
         [e.time for e in result.episodes],
         max((e.compute_ms.get("p50", 0.0) for e in result.episodes), default=0.0),
@@ -303,8 +303,9 @@ def _level(
         return Finding(level, True, f"{done} of {_EPISODES} completed, {seconds:.1f} s each")
     worst = next(o for o, good in zip(flown.outcomes, flown.completed, strict=True) if not good)
     found = f"{done} of {_EPISODES} completed; {shown_line(worst, 300)}"
-    if flown.error is not None:
-        found = f"{found}: {shown_line(flown.error.strip().splitlines()[-1], 300)}"
+    error = "" if flown.error is None else flown.error.strip().splitlines()[-1]
+    if error not in worst:
+        found = f"{found}: {shown_line(error, 300)}"
     settings = "".join(f" --set {shlex.quote(override)}" for override in overrides)
     remedy = (
         f"See it: crazyarena dry-run {path} --level {level} --seed {_SEED} --episodes "

@@ -23,6 +23,7 @@ from typing import Any
 from crazyarena.bounded_read import check_code, size_words
 from crazyarena.errors import InputError
 from crazyarena.import_failure import missing, told
+from crazyarena.no_python import no_python
 from crazyarena.runner.contestant.contract_2022 import shims
 from crazyarena.runner.timing.step_limit import TimeIsUp, bounded
 
@@ -51,7 +52,9 @@ def entry_file(path: Path) -> Path:
             hint = f"; it holds {', '.join(others[:6])}" if others else "; it holds no .py file"
             raise InputError(
                 f"{path}: no {_ENTRY}.py in this folder{hint}. "
-                "Pass the file with class Controller, or a folder with edit_this.py"
+                "Pass the file with class Controller, or a folder with edit_this.py; a controller "
+                "of lsy_drone_racing derives from lsy_drone_racing.control.Controller"
+                f"{no_python(path)}"
             )
         return file
     if not path.exists():

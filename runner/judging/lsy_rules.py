@@ -336,11 +336,20 @@ def _beyond(place: Array, low: Array, high: Array) -> str:
     return ""
 
 
-def lsy_why(reason: str, events: Sequence[Any], error: str | None, passed: int, gates: int) -> str:
-    """Why an episode ended, in one line; events have ``time``, ``name`` and ``detail``."""
+def lsy_why(
+    reason: str,
+    events: Sequence[Any],
+    error: str | None,
+    passed: int,
+    gates: int,
+    ended: float,
+) -> str:
+    """Why an episode ended, in one line.
+
+    events: have ``time``, ``name`` and ``detail``. ended: s, when the episode did.
+    """
     if error:
         return f"{reason}: {error.strip().splitlines()[-1].strip()}"
-    last = events[-1].time if events else 0.0
     if reason == COLLISION:
         touched = next((e for e in reversed(events) if e.name == "contact"), None)
         if touched is not None:
@@ -348,6 +357,10 @@ def lsy_why(reason: str, events: Sequence[Any], error: str | None, passed: int, 
     out = next((e for e in reversed(events) if e.name == reason.lower() and e.detail), None)
     if out is not None:
         return f"{reason}: {out.detail} at {out.time:.2f} s, {passed} of {gates} gates"
+    if reason == FLOOR:
+        return (
+            f"{reason}: came down away from its start at {ended:.2f} s, {passed} of {gates} gates"
+        )
     if reason != GATES_PASSED and passed < gates:
-        return f"{reason}: {passed} of {gates} gates at {last:.2f} s"
+        return f"{reason}: {passed} of {gates} gates at {ended:.2f} s"
     return reason

@@ -128,13 +128,35 @@ def _draw_path(figure: Any, axis: Any, bar: Any, shown: Picture) -> None:
         low, high = inside.min(axis=0) - 0.3, inside.max(axis=0) + 0.3
         axis.set_xlim(min(x0, low[0]), max(x1, high[0]))
         axis.set_ylim(min(y0, low[1]), max(y1, high[1]))
-    for number, mark in enumerate(_named(shown.marks), 1):
-        place = [np.interp(mark.time, shown.time, path[:, i]) for i in range(2)]
+    chosen = _named(shown.marks)
+    places = np.array([[np.interp(mark.time, shown.time, path[:, i]) for i in range(2)]
+                       for mark in chosen]).reshape(-1, 2)  # fmt: skip
+    for mark, place in zip(chosen, places, strict=True):
         axis.plot(*place, "x", color=_MARKS[mark.kind], ms=9, mew=2)
+    (x0, x1), (y0, y1) = axis.get_xlim(), axis.get_ylim()
+    for number, first in numbered(places, 0.05 * max(x1 - x0, y1 - y0)):
+        place, mark = places[first], chosen[first]
         axis.annotate(
-            str(number), place, xytext=(-4, 7), textcoords="offset points", ha="right",
+            number, place, xytext=(-4, 7), textcoords="offset points", ha="right",
             color=_MARKS[mark.kind], fontweight="bold",
         )  # fmt: skip
+
+
+def numbered(places: Array, near: float) -> list[tuple[str, int]]:
+    """Numbers of marks as they can be read: those within ``near`` of the first of some are told
+    with it, ``"2,3"``.
+
+    places: (n, 1) s or (n, 2) m, in order. Returns texts, from 1, and the row of each first.
+    """
+    groups: list[list[int]] = []
+    for row, place in enumerate(places):
+        for group in groups:
+            if np.linalg.norm(place - places[group[0]]) < near:
+                group.append(row)
+                break
+        else:
+            groups.append([row])
+    return [(",".join(str(row + 1) for row in group), group[0]) for group in groups]
 
 
 def _named(found: Iterable[Mark]) -> list[Mark]:
@@ -194,13 +216,17 @@ def _legend(figure: Any, heights: Any) -> None:
 def _name_marks(figure: Any, axis: Any, found: Sequence[Mark]) -> None:
     """Number the marks in an axis over time, and say below the way what they are."""
     chosen = _named(found)
-    for row, mark in enumerate(chosen):
-        colour, number = _MARKS[mark.kind], str(row + 1)
+    times = np.array([[mark.time] for mark in chosen]).reshape(-1, 1)
+    begin, end = axis.get_xlim()
+    for number, first in numbered(times, 0.02 * (end - begin)):
         axis.annotate(
-            number, (mark.time, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 2),
-            textcoords="offset points", ha="center", color=colour, fontsize=9, fontweight="bold",
+            number, (chosen[first].time, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 2),
+            textcoords="offset points", ha="center", color=_MARKS[chosen[first].kind], fontsize=9,
+            fontweight="bold",
         )  # fmt: skip
-        text = unmarked(f"{number}  {mark.time:.2f} s  {mark.text}")
+    for row, mark in enumerate(chosen):
+        colour = _MARKS[mark.kind]
+        text = unmarked(f"{row + 1}  {mark.time:.2f} s  {mark.text}")
         figure.text(0.27, 0.084 - 0.017 * row, text, color=colour, fontsize=8)
     late: dict[str, int] = {}
     for mark in found:

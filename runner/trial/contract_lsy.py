@@ -21,6 +21,7 @@ from crazyarena.runner.judging.referee import Event
 from crazyarena.runner.records.lsy_scene import lsy_scene
 from crazyarena.runner.trial.contract import Array, Draws, Follow
 from crazyarena.runner.trial.phase import MeasuredTrack
+from crazyarena.sim_backend.trace import TR_TIME
 
 COMMAND_LAYOUT = {
     "state": "asked_args, sent_args: a full state",
@@ -105,4 +106,8 @@ class ContractLsy:
         first_command: str | None,
         error: str | None,
     ) -> str:
-        return lsy_why(reason, events, error, referee.gates_passed, referee.gates)
+        # What ends a trial by itself has no event: then its last rows tell when.
+        ended = (
+            float(rows[-1, TR_TIME]) if len(rows) else max((e.time for e in events), default=0.0)
+        )
+        return lsy_why(reason, events, error, referee.gates_passed, referee.gates, ended)

@@ -201,15 +201,16 @@ class LsyEpisode:
     def _result(self, reason: str, started: float, built: float) -> LsyEpisodeResult:
         referee, rate = self._referee, self._level.env.freq
         success = referee.passed == referee.gates
-        why = lsy_why(reason, self._events, self._error, referee.passed, referee.gates)
+        ended = referee.steps / rate
+        why = lsy_why(reason, self._events, self._error, referee.passed, referee.gates, ended)
         if self._show is not None:
-            self._show.end(referee.steps / rate, reason, why, success)
+            self._show.end(ended, reason, why, success)
         return LsyEpisodeResult(
             index=self._index,
             termination=reason,
             success=success,
             time=max(0, referee.steps - 1) / rate,
-            flight_time=referee.steps / rate,
+            flight_time=ended,
             gates_passed=referee.passed,
             gates=referee.gates,
             steps=referee.steps,
@@ -218,7 +219,7 @@ class LsyEpisode:
             construct_ms=built * 1e3,
             wall_time=self._wall.now() - started,
             error=self._error,
-            notes=[*referee.notes, *hints(reason, referee.steps)],
+            notes=[*referee.notes, *hints(reason, referee.steps, self._seconds, rate)],
             events=self._events,
             why=why,
         )
@@ -260,11 +261,22 @@ def record_step(
         recorder.scene(time, drawn_scene(drawings, time))
 
 
-def hints(reason: str, steps: int) -> list[str]:
-    """What to tell of an episode that its controller ended after some steps."""
+def hints(reason: str, steps: int, seconds: Sequence[float], rate: int) -> list[str]:
+    """What its contestant should know of an episode: that it ended it at once, or is slow.
+
+    seconds: of each step's computing; rate: steps a second.
+    """
+    found = []
+    usual = float(np.median(seconds)) if len(seconds) else 0.0
+    if usual > 1.0 / rate:
+        found.append(
+            f"slow: a step takes {usual * 1e3:.0f} ms, and has {1e3 / rate:.0f}; in an arena its "
+            "commands would come late"
+        )
     if reason != CONTROLLER_FINISHED or steps > _QUICK:
-        return []
+        return found
     return [
+        *found,
         "the controller ended the episode at once: step_callback answers True where it is not "
-        "overridden"
+        "overridden. Write one that returns False",
     ]

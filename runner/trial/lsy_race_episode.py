@@ -296,6 +296,8 @@ class RaceEpisode:
             if success:
                 flight_time = referee.gate_times[-1]
                 time = (round(flight_time * rate) - 1) / rate
+            own = self._level.env.kwargs[drone].freq
+            told = (flown.events, flown.error, referee.passed, referee.gates)
             results.append(
                 RaceResult(
                     index=self._index,
@@ -311,9 +313,13 @@ class RaceEpisode:
                     construct_ms=flown.built * 1e3,
                     wall_time=wall,
                     error=flown.error,
-                    notes=[*referee.notes, *hints(reason, referee.steps)],
+                    notes=[
+                        *referee.notes,
+                        *hints(reason, referee.steps, flown.seconds, own),
+                        *_alone(flown.error, referee.steps),
+                    ],
                     events=flown.events,
-                    why=lsy_why(reason, flown.events, flown.error, referee.passed, referee.gates),
+                    why=lsy_why(reason, *told, referee.steps / rate),
                     drone=drone,
                     controller=self._names[drone],
                 )
@@ -323,3 +329,13 @@ class RaceEpisode:
             if result.success:
                 result.place = times.index(result.time) + 1
         return results
+
+
+def _alone(error: str | None, steps: int) -> list[str]:
+    """What a controller that failed at once may have missed."""
+    if error is None or steps > 0:
+        return []
+    return [
+        "was it written for one drone? In a race observations have a row a drone, "
+        "obs['pos'][info['rank']] is its own"
+    ]

@@ -25,6 +25,7 @@ from typing import Any
 from crazyarena.bounded_read import check_code
 from crazyarena.errors import InputError
 from crazyarena.import_failure import missing, told
+from crazyarena.no_python import no_python
 
 NAMES = Path(__file__).parent / "names"
 _PACKAGE = "lsy_drone_racing"
@@ -167,7 +168,7 @@ def controller_file(submission: Path, level: str) -> Path:
     if file is None:
         raise InputError(
             f"{path}: no class here derives from lsy_drone_racing.control.Controller, which level "
-            f"{level} needs. Pass the file of such a controller"
+            f"{level} needs. Pass the file of such a controller{no_python(path)}"
         )
     return file.resolve()
 

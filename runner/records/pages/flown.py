@@ -68,13 +68,17 @@ class Flown:
         return kinds
 
 
+class NothingFlown(InputError):
+    """A recording of an episode that was over before its first step."""
+
+
 def read_flown(file: Path) -> Flown:
-    """Read a recording; raises InputError if it holds no flight."""
+    """Read a recording; raises InputError if it is none, NothingFlown if it holds no flight."""
     records = read_records(file)
     recording = export.read(file, records)
     states = recording.tables.get("state")
     if states is None or not len(states):
-        raise InputError(f"{file}: holds no flight: no row of topic /state")
+        raise NothingFlown(f"{file}: holds no flight: no row of topic /state")
     named = {column: k for k, column in enumerate(recording.columns["state"])}
     rows = states[thinned(len(states), _ROWS)]
 
@@ -166,6 +170,9 @@ def _bounds(flown: Flown) -> tuple[Array, Array]:
     if flown.level is not None:
         return np.array(flown.level.arena.low), np.array(flown.level.arena.high)
     path = flown.position[np.isfinite(flown.position).all(axis=1)]
+    # What stands there is to be seen, however short the flight was.
+    stands = [body.corners() for entity in flown.entities[:200] for body in bodies(entity)]
+    path = np.vstack([path, *stands])
     if not len(path):
         return np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0])
     return np.minimum(path.min(axis=0) - 0.5, 0.0), path.max(axis=0) + 0.5

@@ -54,9 +54,15 @@ for (const box of document.querySelectorAll(".scene")) {
       }
     }
     pen.font = 12 * ratio + "px sans-serif";
+    // Names of what happened at one place stand below each other, and inside of the picture.
+    const taken = [];
     for (const m of scene.marks) {
-      const [a, b] = flat(m.point);
-      pen.fillStyle = colour(m.colour); pen.fillText(m.text, a + 6 * ratio, b + (m.cross ? 14 : -4) * ratio);
+      const [a, b] = flat(m.point), long = pen.measureText(m.text).width, high = 14 * ratio;
+      const left = Math.max(0, Math.min(a + 6 * ratio, canvas.width - long - 4 * ratio));
+      let base = b + (m.cross ? 14 : -4) * ratio;
+      const hits = t => left < t[0] + t[2] && t[0] < left + long && Math.abs(base - t[1]) < high - 1;
+      if (m.cross) { for (let t; (t = taken.find(hits));) base = t[1] + high; taken.push([left, base, long]); }
+      pen.fillStyle = colour(m.colour); pen.fillText(m.text, left, base);
       if (m.cross) { pen.beginPath(); pen.arc(a, b, 4 * ratio, 0, 7); pen.fill(); }
     }
     if (told) told.textContent = at.toFixed(2) + " s";

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from crazyarena.runner.records.pages.flown import read_flown, scene
+from crazyarena.runner.records.pages.flown import NothingFlown, read_flown, scene
 from crazyarena.runner.records.pages.page import section, text
 
 MOST_RACES = 6
@@ -36,7 +37,8 @@ def races(episodes: Sequence[dict[str, Any]], files: Sequence[Path | None]) -> s
         paths, told = [], []
         for number, (episode, file) in enumerate(flights):
             colour = _COLOURS[number % len(_COLOURS)]
-            paths.append((read_flown(file), colour))
+            with contextlib.suppress(NothingFlown):
+                paths.append((read_flown(file), colour))
             name = f"drone {episode['drone']} ({episode.get('controller', '')})"
             told.append(f'<span style="color:var(--{colour})">{text(name)}</span>')
         parts.append(f"<p>Race {text(index)}: {', '.join(told)}</p>{scene(paths)}")

@@ -14,7 +14,7 @@ from crazyarena.runner.records.bodies import gate_openings
 from crazyarena.runner.records.compare import compare
 from crazyarena.runner.records.pages.charts import Line, chart
 from crazyarena.runner.records.pages.compare_page import comparison
-from crazyarena.runner.records.pages.flown import Flown, read_flown, scene
+from crazyarena.runner.records.pages.flown import Flown, NothingFlown, read_flown, scene
 from crazyarena.runner.records.pages.page import folded, page, section, table, text, wide
 from crazyarena.runner.records.pages.race import named, races
 
@@ -78,19 +78,20 @@ def _lead(document: dict[str, Any], episodes: Sequence[dict[str, Any]]) -> str:
 
 
 def _overview(episodes: Sequence[dict[str, Any]]) -> str:
+    # Counted by the rules of 2022 only.
+    counted = [name for name in ("collisions", "violations") if any(name in e for e in episodes)]
     rows = [
         (
             named(e, number),
             _why(e),
             _seconds(e.get("flight_time", e.get("time"))),
             f"{e.get('gates_passed', '?')}/{e.get('gates', '?')}",
-            e.get("collisions"),
-            e.get("violations"),
+            *(e.get(name) for name in counted),
         )
         for number, e in enumerate(episodes[:_MOST_ROWS])
     ]
     state = ["good" if _good(e) else "bad" for e in episodes]
-    names = ("#", "outcome", "time s", "gates", "collisions", "violations")
+    names = ("#", "outcome", "time s", "gates", *counted)
     return table(names, rows, state, "outcomes")
 
 
@@ -104,7 +105,10 @@ def _flights(run: Path, episodes: Sequence[dict[str, Any]]) -> list[str]:
     parts = []
     for i in sorted(order):
         file = _recording(run, episodes[i])
-        inner = "" if file is None else flight(read_flown(file))
+        try:
+            inner = "" if file is None else flight(read_flown(file))
+        except NothingFlown:
+            inner = "<p>Nothing was flown.</p>"
         inner += _details(episodes[i])
         parts.append(folded(f"Episode {named(episodes[i], i)}: {_why(episodes[i])}",
                             inner, shut=i != first))  # fmt: skip

@@ -90,7 +90,9 @@ def test_unknown_keys_are_a_warning_with_their_line(tmp_path):
     file = write(tmp_path, "sensor_range", "sensor_rage")
     level = load_lsy_level(file)
     line = line_of(file.read_text(), "sensor_rage")
-    assert level.warnings == (f"{file}:{line}: env.sensor_rage: not known here, ignored",)
+    assert level.warnings == (
+        f"{file}:{line}: env.sensor_rage: not known here, ignored; did you mean 'sensor_range'?",
+    )
     assert level.config["env"]["sensor_rage"] == 0.7
     assert level.env.sensor_range == 0.5
 

@@ -12,7 +12,7 @@ from crazyarena.runner.check.submission import check
 from crazyarena.runner.cli import make_app
 from crazyarena.runner.contestant.shipped import make
 from tests.runner.fakes import controller
-from tests.runner.lsy_controllers import ATTITUDE
+from tests.runner.lsy_controllers import ATTITUDE, HEAD
 
 HOVER = "if time == 0: return Command.TAKEOFF, [0.75, 1.0]\n        return Command.NONE, []"
 
@@ -184,3 +184,16 @@ def test_a_controller_that_fails_is_told(tmp_path):
     assert found["level0"].works is False
     assert "ValueError: lost" in found["level0"].found
     assert "repeatable" not in found
+
+
+def test_check_says_once_why_it_failed_in_lsy_drone_racings_simulation(tmp_path):
+    source = HEAD + "class A(Controller):\n    def compute_control(self, obs, info=None):\n"
+    source += "        return {}\n    def step_callback(self, *told):\n        return False\n"
+    file = tmp_path / "mine.py"
+    file.write_text(source.format("np.zeros(13)"))
+    line = lines(check(file))["lsy/level0"]
+    assert line.works is False
+    assert "FLOOR: came down away from its start at" in line.found
+    file.write_text(source.format("np.zeros(4)"))
+    line = lines(check(file))["lsy/level0"]
+    assert line.found.count("returned numbers of shape [4]") == 1

@@ -152,3 +152,10 @@ def test_levels_are_listed_and_shown(call):
     shown = call(STATE, "levels", "lsy/level3")
     assert "randomize = true" in shown.output
     assert call(STATE, "levels", "none.toml").exit_code == 2
+
+
+def test_the_report_of_a_controller_that_never_flew_says_so(call, tmp_path):
+    source = controller("return None")
+    told = call(source, "dry-run", "mine.py", "--seed", "1", "--out", "out").output
+    assert "not written" not in told
+    assert "Nothing was flown" in (tmp_path / "out" / "report.html").read_text()

@@ -233,3 +233,23 @@ def test_races_are_named_where_single_drones_are_flown(call, tmp_path):
         )
         assert result.exit_code == 2, result.output
         assert "a race of several drones, which crazyarena dry-run flies" in result.output
+
+
+def test_a_controller_for_one_drone_is_told_what_a_race_shows(call):
+    single = HEAD + "class A(Controller):\n    def compute_control(self, obs, info):\n"
+    single += "        return np.concatenate([obs['pos'], np.zeros(10)])\n"
+    told = call({"a.py": single}).output
+    assert "obs['pos'][info['rank']] is its own" in " ".join(told.split())
+
+
+@pytest.mark.parametrize("width", [60, 80])
+def test_a_narrow_table_of_a_race_folds_words_and_cuts_nothing(call, width, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(width))
+    Path("my_racer").mkdir()
+    told = call({"my_racer/controller.py": racer(UP, "self.k > 30")}).output
+    table = told[: told.index("Seed ")]
+    for word in ("my_racer", "CONTROLLER", "drone"):
+        assert word in table
+    assert "…" not in table
+    rows = table[table.index(" #  drone") :].splitlines()
+    assert max(map(len, rows)) <= width

@@ -261,6 +261,8 @@ class TestBadInput:
         [
             ({}, "no edit_this.py"),
             ({"other": ""}, "it holds other.py"),
+            ({"other": "class Controller"}, r"other\.py, line 1 is not valid Python: expected ':'"),
+            ({"other": ""}, "derives from lsy_drone_racing.control.Controller$"),
             ({"edit_this": "x = 1"}, "no class Controller"),
             ({"edit_this": "class Pilot: pass"}, "classes found: Pilot"),
             ({"edit_this": "class Controller: pass"}, "no method cmdFirmware"),

@@ -100,7 +100,7 @@ def test_what_ends_a_real_race(place, tumbled, reason):
     if reason is not None:
         assert referee.reason(verdict) == reason
         assert verdict.collided == (reason == COLLISION)
-        assert reason in lsy_why(reason, verdict.events, None, 0, 4)
+        assert reason in lsy_why(reason, verdict.events, None, 0, 4, 1.0)
 
 
 def test_without_a_pose_the_last_verdict_stands():

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from crazyarena.levels.lsy import load_lsy_level
 from crazyarena.levels.lsy.draw import LsyRandom
-from crazyarena.runner.judging.lsy_rules import LsyReferee, lsy_why
+from crazyarena.runner.judging.lsy_rules import LsyEvent, LsyReferee, lsy_why
 from crazyarena.sim_backend.successor import nominal
 from crazyarena.sim_backend.trace import TR_CONTACT, TR_POS, TR_QUAT, TR_TIME, TRACE_SIZE
 
@@ -226,7 +226,7 @@ def test_a_contact_names_the_part_that_was_touched(y, z, part):
     run.to(*run.at_gate(1, 0.0, y, z), contact=1.0)
     assert told(run, "contact") == [("contact", f"gate 1 ({part})")]
     assert run.verdict.reason == "COLLISION"
-    why = lsy_why("COLLISION", run.verdict.events, None, 0, 4)
+    why = lsy_why("COLLISION", run.verdict.events, None, 0, 4, 9.0)
     assert why == f"COLLISION with gate 1 ({part}) at 0.02 s"
 
 
@@ -251,5 +251,16 @@ def test_leaving_the_safety_limits_and_coming_back_is_told():
     run.to(-2.6, 0.75, 2.6)
     assert run.verdict.reason == "OUT OF BOUNDS"
     assert told(run, "out of bounds") == [("out of bounds", "z above 2.5 m")]
-    why = lsy_why("OUT OF BOUNDS", run.verdict.events, None, 1, 4)
+    why = lsy_why("OUT OF BOUNDS", run.verdict.events, None, 1, 4, 9.0)
     assert why == "OUT OF BOUNDS: z above 2.5 m at 0.08 s, 1 of 4 gates"
+
+
+def test_why_tells_when_it_ended_and_not_when_something_happened_last():
+    told = [LsyEvent(0.5, "gate passed", "0")]
+    assert lsy_why("CONTROLLER FINISHED", told, None, 1, 4, 1.6) == (
+        "CONTROLLER FINISHED: 1 of 4 gates at 1.60 s"
+    )
+    assert lsy_why("TIME LIMIT", [], None, 0, 4, 30.0) == "TIME LIMIT: 0 of 4 gates at 30.00 s"
+    assert lsy_why("FLOOR", told, None, 1, 4, 0.42) == (
+        "FLOOR: came down away from its start at 0.42 s, 1 of 4 gates"
+    )

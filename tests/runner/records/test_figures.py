@@ -15,7 +15,7 @@ from crazyarena.runner.judging.result import EpisodeResult
 from crazyarena.runner.records.arena_figure import save_arena
 from crazyarena.runner.records.bodies import Body, distances
 from crazyarena.runner.records.drawing import MANY, Choice, Drawer, Figures
-from crazyarena.runner.records.figure import save_figure
+from crazyarena.runner.records.figure import numbered, save_figure
 from crazyarena.runner.records.ground import ground_of, lsy_ground
 from crazyarena.runner.records.marks import marks
 from crazyarena.runner.records.picture import picture
@@ -319,3 +319,10 @@ def test_comparing_refuses_other_levels_unless_asked(tmp_path):
         "theirs (1 flight, vehicle cf21b) against mine (1 flight, vehicle unknown) "
         "on level0, level3"
     )
+
+
+def test_numbers_of_marks_that_would_lie_upon_each_other_are_told_together():
+    times = np.array([[1.0], [1.05], [3.0], [3.1], [9.0]])
+    assert numbered(times, 0.2) == [("1,2", 0), ("3,4", 2), ("5", 4)]
+    assert numbered(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.1]]), 0.2) == [("1,3", 0), ("2", 1)]
+    assert numbered(np.empty((0, 2)), 0.2) == []

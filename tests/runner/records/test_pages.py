@@ -4,6 +4,7 @@ import html.parser
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from crazyarena.runner.campaign.outcome import Outcome
 from crazyarena.runner.campaign.report import write_json
 from crazyarena.runner.judging import verdict_row
 from crazyarena.runner.records.pages.charts import Line, chart, ticks
+from crazyarena.runner.records.pages.flown import read_flown, scene
 from crazyarena.runner.records.pages.page import data, page, table, text
 from crazyarena.runner.records.pages.write import write_report
 from crazyarena.runner.records.recorder import Recorder
@@ -233,3 +235,15 @@ def test_a_chart_leaves_gaps_where_nothing_is_known():
     value = np.where((time > 3) & (time < 6), math.nan, time)
     assert chart("z", [Line("flown", time, value, "s0")]).count("<polyline") == 2
     assert "nan" not in chart("z", [Line("flown", time, np.full(10, math.nan), "s0")])
+
+
+def test_a_flight_that_was_short_is_shown_with_all_that_stands_there(tmp_path):
+    run = make_run(tmp_path / "run")
+    flown = read_flown(run / "episode_000.mcap")
+    flown = replace(flown, level=None, position=flown.position[:1], time=flown.time[:1])
+    view = re.search(r'class="scene-data">(.*?)</script>', scene([(flown, "c0")]))
+    shown = json.loads(view[1])
+    corners = np.array([point for solid in shown["solids"] for point in solid["points"]])
+    assert len(corners) > 0
+    assert (corners.min(axis=0) >= np.array(shown["low"]) - 0.01).all()
+    assert (corners.max(axis=0) <= np.array(shown["high"]) + 0.01).all()

@@ -18,6 +18,7 @@ from crazyarena.runner.contestant.contract_lsy.submission import (
     find_controller,
 )
 from crazyarena.runner.lsy_run import LsyRun
+from crazyarena.runner.trial.lsy_episode import hints
 from tests.runner.lsy_controllers import ATTITUDE, HEAD, LOG, STATE, controller
 
 
@@ -85,6 +86,16 @@ def test_who_forgets_step_callback_is_told(tmp_path):
     episode = fly(tmp_path, controller("return np.zeros(13)")).episodes[0]
     assert (episode.termination, episode.steps, episode.time) == ("CONTROLLER FINISHED", 1, 0.0)
     assert any("step_callback answers True" in note for note in episode.notes)
+    assert not any("slow" in note for note in episode.notes)
+
+
+def test_who_thinks_longer_than_a_step_is_told():
+    told = hints("GATES PASSED", 40, [0.025] * 40, 50)
+    assert told == [
+        "slow: a step takes 25 ms, and has 20; in an arena its commands would come late"
+    ]
+    assert hints("GATES PASSED", 40, [*[0.001] * 39, 3.0], 50) == []
+    assert hints("CONTROLLER ERROR", 0, [], 50) == []
 
 
 @pytest.mark.parametrize(
@@ -93,7 +104,7 @@ def test_who_forgets_step_callback_is_told(tmp_path):
         ("raise RuntimeError('lost')", "RuntimeError: lost"),
         ("return np.zeros(4)", r"shape \[4\]; expected 13"),
         ("return np.full(13, np.nan)", "not finite"),
-        ("return None", "expected 13"),
+        ("return np.zeros(4)", "--set env.control_mode=attitude"),
         ("return 'up'", "returned str"),
         ("import sys; sys.exit(3)", "SystemExit"),
     ],
@@ -193,6 +204,10 @@ def test_found_by_the_file(tmp_path):
         (HEAD + "\nclass A(Controller):\n    pass\n", "abstract"),
         (HEAD + "\nimport not_there\nclass A(Controller):\n    pass\n", "not_there"),
         ("x = 1\n", "derives from"),
+        (
+            STATE + "\nclass Second(Follower)\n",
+            r"mine\.py, line \d+ is not valid Python: expected ':'",
+        ),
     ],
 )
 def test_what_cannot_be_loaded_is_refused_with_the_reason(tmp_path, source, words):
