@@ -36,6 +36,9 @@ HEARD, REFUSED = "heard", "refused"
 """Beginnings of answers; all but HEARD are final."""
 
 ABSTRACT = "crazyarena-estop/"
+MOST_REASON = 150
+"""Letters: however they are escaped, they fit into the one message that a listener reads, and a
+request to land is not cut off into a stop."""
 LINUX = sys.platform.startswith("linux")
 CREDENTIALS = struct.Struct("3i")  # pid, uid, gid: struct ucred
 _ASK = 0.01  # s, between looks at answers
@@ -135,6 +138,7 @@ def stop_local(
 
     Parameters
     ----------
+    reason: for the record; the first 150 letters of it.
     folder: the only one to look in; by default all of :func:`places`, and abstract sockets.
     timeout: s, for all answers together.
     warn: told of what looks odd; nothing of that keeps a stop from being sent.
@@ -146,6 +150,7 @@ def stop_local(
     confirmed, ``tested``, ``landing``, or what went wrong. Sockets nobody listens on any more
     are removed.
     """
+    reason = shown_line(reason, MOST_REASON)
     wanted = {"test": True} if test else {"reason": reason, **({"land": True} if land else {})}
     payload = json.dumps(wanted).encode()
     targets: dict[str, _Target] = {}

@@ -61,6 +61,7 @@ class Observation:
     dead_man_age: s since the operator last held the key; None when there is none to hold.
     neighbour, neighbour_predicted: m to the nearest other vehicle in the air, now and if both were
         told to stop now.
+    below: places, m, of other vehicles, flying or not, in whose way this one would come down.
     person_distance: m to the nearest person, horizontally; person_depth: how far the one
         deepest inside the fence is inside, m (negative: all outside).
     strangers: bodies seen that nobody has named.
@@ -93,6 +94,7 @@ class Observation:
     dead_man_age: float | None = None
     neighbour: float | None = None
     neighbour_predicted: float | None = None
+    below: tuple[Point, ...] = ()
     person_distance: float | None = None
     person_depth: float | None = None
     strangers: int = 0

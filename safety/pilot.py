@@ -19,6 +19,7 @@ from crazyarena.safety.flight_model import GRAVITY
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.link_loss import LinkLoss, Moving, UsualSpeed
+from crazyarena.safety.neighbours import beside
 from crazyarena.safety.observation import Observation, Point, as_point
 
 _PERIOD = 0.0095  # s, at least, between setpoints: every frame of a 100 Hz camera system
@@ -260,8 +261,10 @@ class SafePilot:
             (0.0, 0.0, 0.0) if dt <= 0.0 else (dx * share / dt, dy * share / dt, dz * share / dt)
         )
         blind = obs.pose_age > self._limits.pose_hold
+        if action is Action.LAND and obs.below and not blind:
+            self._step_aside(obs)
         # Without poses the vehicle drifts: being down soon matters more than where.
-        if action is Action.LAND and (blind or away < 0.1):
+        elif action is Action.LAND and (blind or away < 0.1):
             self._descending = True
         if self._descending:
             vz = -(self._limits.blind_descent if blind else self._limits.descent)
@@ -270,6 +273,20 @@ class SafePilot:
                 vz = min(0.0, (lowest - z) / dt) if dt > 0.0 else 0.0
         self._place = (x + vx * dt, y + vy * dt, z + vz * dt)
         return vx, vy, vz
+
+    def _step_aside(self, obs: Observation) -> None:
+        """Towards a place beside whoever is below; down where it is if there is no such place."""
+
+        def within(place: Point) -> Point:
+            try:
+                return self._fence.nearest(place, self._limits.inside, self._place)
+            except InputError:
+                return self._place
+
+        aside = beside(self._place, obs.below, within)
+        self._descending = aside is None
+        if aside is not None:
+            self._target = aside
 
 
 def _braked(place: float, speed: float, time: float, now: float) -> tuple[float, float, float]:

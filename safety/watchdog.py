@@ -30,7 +30,7 @@ from crazyarena.safety.guard import Guard
 from crazyarena.safety.lasting import Lasting
 from crazyarena.safety.limits import Limits
 from crazyarena.safety.monitors import Finding
-from crazyarena.safety.neighbours import nearest
+from crazyarena.safety.neighbours import in_the_way_down, nearest
 from crazyarena.safety.observation import Observation, Point, as_point
 from crazyarena.safety.old_poses import repeats
 from crazyarena.safety.own_estimate import not_watched
@@ -401,8 +401,9 @@ class Watchdog:
         if persons:
             self._look_for_people(obs, persons)
         watched.latest = obs
-        others = (w.latest for w in self._watched.values() if w is not watched)
-        near = nearest(obs, (o for o in others if o is not None), self.limits)
+        others = [w.latest for w in self._watched.values() if w is not watched and w.latest]
+        obs.below = in_the_way_down(obs, others)
+        near = nearest(obs, others, self.limits)
         if near is not None:
             obs.neighbour, obs.neighbour_predicted = near
         return obs

@@ -10,10 +10,6 @@ import typer
 from crazyarena.plain_text import shown_line
 from crazyarena.runner.cli.common import EXIT_NOT_CLEAN, bad_input_exits
 
-# Letters: however they are escaped, they fit into the one message that a listener reads, and a
-# request to land is not cut off into a stop.
-_MOST_REASON = 150
-
 
 def register(app: typer.Typer) -> None:
     app.command("estop")(estop)
@@ -47,10 +43,10 @@ def estop(
     those of everybody); those elsewhere with --connect or --network. Exit code: 0 when a vehicle's
     link confirmed (with --test: when a session answered), 1 when none did.
     """
-    from crazyarena.safety.estop_local import LANDING, STOPPED, TESTED, stop_local
+    from crazyarena.safety.estop_local import LANDING, MOST_REASON, STOPPED, TESTED, stop_local
 
     found = answered = False
-    reason = shown_line(reason, _MOST_REASON)
+    reason = shown_line(reason, MOST_REASON)
     with bad_input_exits():
         # The nearest first; nothing that could fail comes before it.
         good = LANDING if land else TESTED if test else STOPPED

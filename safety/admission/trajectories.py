@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from crazyarena.crazyswarm_compat import commands as c
+from crazyarena.crazyswarm_compat.checks import beyond_memory
 from crazyarena.safety.admission.agility import overtaxed
 from crazyarena.safety.admission.memory import VehicleMemory
 from crazyarena.safety.admission.room import Room
@@ -32,6 +33,9 @@ def upload(
         raise memory.refusal(m, f"trajectory id {m.trajectory_id}: there are 0 .. {_IDS - 1}")
     if np.abs(m.pieces).max() > np.finfo(np.float32).max:
         raise memory.refusal(m, "a coefficient is too large for the vehicle")
+    too_much = beyond_memory(m)
+    if too_much is not None:
+        raise memory.refusal(m, too_much)
     offset = int(m.piece_offset)
     read = memory.planner.slots
     if offset < read.stop and read.start < offset + len(m.pieces):

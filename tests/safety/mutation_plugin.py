@@ -12,7 +12,16 @@ from collections.abc import Callable
 from typing import Any
 
 from crazyarena.runner.contestant.compute import Budget
-from crazyarena.safety import estop_socket, gate, guard, heading, preflight, tipping, watchdog
+from crazyarena.safety import (
+    estop_socket,
+    gate,
+    guard,
+    heading,
+    preflight,
+    steerable,
+    tipping,
+    watchdog,
+)
 from crazyarena.safety.admission import (
     attitudes,
     memory,
@@ -28,6 +37,7 @@ from crazyarena.safety.admission.room import Room
 from crazyarena.safety.admission.trajectory_memory import TrajectoryMemory
 from crazyarena.safety.attitude_path import AttitudeLoss
 from crazyarena.safety.estop import EmergencyStop
+from crazyarena.safety.flight_model import FlightModel
 from crazyarena.safety.gate import CommandGate
 from crazyarena.safety.heading import HeadingWatch, Turned
 from crazyarena.safety.link_loss import LinkLoss
@@ -198,6 +208,18 @@ OTHERS: dict[str, tuple[Callable[[], None], str]] = {
     "steerable": (
         _without(SafePilot, "_steerable", lambda self, setpoint, obs: setpoint),
         "test_pilot.py",
+    ),
+    # Two that were taken land at the same time, one above the other.
+    "step_aside": (_without(SafePilot, "_step_aside", lambda self, obs: None), "test_pilot.py"),
+    "floats": (
+        _without(FlightModel, "floats", property(lambda self: 0.0)),
+        "test_steerable.py",
+    ),
+    "calm_lift": (_without(steerable, "CALM_LIFT", 0.0), "test_pilot.py"),
+    # Four pieces of memory that the vehicle does not have.
+    "beyond_memory": (
+        _without(trajectories, "beyond_memory", lambda *args: None),
+        "test_gate.py",
     ),
     "level_off": (
         _without(SafePilot, "_level_off", lambda self, height, climb: climb / 2.5),

@@ -475,6 +475,15 @@ def test_what_flies_cannot_be_overwritten():
     rig.send(c.UploadTrajectory(1, 3, two))
 
 
+@pytest.mark.parametrize("offset", [30, 31, 200])
+def test_what_the_memory_does_not_hold_is_refused(offset):
+    rig = Rig(where=(0.0, 0.0, 1.0))
+    two = np.vstack([piece(4.0, 0.2), piece(4.0, 0.2)])
+    assert "the trajectory memory holds 31 pieces" in rig.refused(
+        c.UploadTrajectory(1, offset, two)
+    )
+
+
 def test_a_plan_for_another_group_frees_no_memory():
     rig = Rig(where=(0.0, 0.0, 1.0))
     rig.send(c.SetGroupMask(1))

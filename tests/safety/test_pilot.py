@@ -247,3 +247,25 @@ def test_one_that_falls_does_not_drift_on_until_it_has_stopped_falling():
     assert stops((0.2, 0.0, -3.0)) == pytest.approx(0.4 / braking)
     assert stops((2.0, 0.0, 0.0)) == pytest.approx(2.0 / braking)
     assert stops((2.0, 0.0, -2.0)) == pytest.approx(math.sqrt(8.0) / braking)
+
+
+def test_a_landing_waits_until_it_is_beside_whoever_is_below():
+    pilot = SafePilot(fence(), Limits())
+    under = (0.1, 0.0, 0.03)
+    for k in range(200):
+        told = pilot.update(Action.LAND, flying(0.02 * k, below=(under,)))
+    (sent,) = told or [None]
+    assert isinstance(sent, FullState)
+    assert sent.position[2] == pytest.approx(1.0)
+    assert math.dist(sent.position[:2], under[:2]) > 0.4
+    pilot.update(Action.LAND, flying(4.02))
+    (sent,) = pilot.update(Action.LAND, flying(4.5))
+    assert sent.velocity[2] < 0.0
+
+
+def test_blind_it_comes_down_where_it_is():
+    pilot = SafePilot(fence(), Limits())
+    for k in range(200):
+        told = pilot.update(Action.LAND, flying(0.02 * k, below=((0.1, 0.0, 0.03),), pose_age=1.0))
+    (sent,) = told or [None]
+    assert sent is None or sent.velocity[2] < 0.0

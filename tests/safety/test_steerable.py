@@ -44,3 +44,8 @@ def test_a_controller_that_does_not_heed_velocities_is_bounded_on_board():
     model = FlightModel(controller=PID, follows_velocity=False)
     assert steerable.lowest(model, 1.0, 2.0, -3.0, 0.0, 0.0) == -3.0
     assert steerable.highest(model, 1.0, -2.0, 9.0, 0.0, 0.0) == 9.0
+
+
+def test_only_what_it_hovers_above_is_taken_off():
+    assert replace(FlightModel(), low=-0.1).floats == 0.1
+    assert replace(FlightModel(), low=0.03).floats == 0.0

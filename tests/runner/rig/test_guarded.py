@@ -294,6 +294,36 @@ def test_two_vehicles_that_fly_at_each_other_do_not_meet(swarm):
     assert not guarded.allcfs.contacts
 
 
+@pytest.mark.parametrize("aside", [0.0, 0.15])
+def test_one_taken_above_another_lands_beside_it(swarm, aside):
+    """One hovers above, one takes off below: both are held, and are to land at the same time."""
+    two = swarm()
+    guard = two.allcfs.guard
+    places = []
+
+    def see(now):
+        states = [guard._link.telemetry(vehicle).state for vehicle in guard.vehicles]
+        places.append([np.asarray(state.position) for state in states])
+
+    above, under = two.allcfs.crazyflies
+    above.takeoff(targetHeight=0.8, duration=2.0)
+    two.timeHelper.sleep(2.5)
+    above.goTo([1.0, aside, 0.8], 0.0, 3.0)
+    two.timeHelper.sleep(3.5)
+    guard._clock.on_advance(see)
+    with contextlib.suppress(FlightEnded, CommandError):
+        under.takeoff(targetHeight=1.0, duration=2.5)
+        two.timeHelper.sleep(3.0)
+    end = guard._clock.now() + 8.0
+    while guard._clock.now() < end:
+        guard._clock.sleep_until(guard._clock.now() + 0.01)
+    assert any(event.rule == "neighbour_predicted" for event in guard.events)
+    assert min(np.linalg.norm(a - b) for a, b in places) > 0.15
+    first, second = places[-1]
+    assert max(first[2], second[2]) < 0.1
+    assert np.linalg.norm(first - second) > 0.25
+
+
 # How it is asked for
 
 
