@@ -91,12 +91,14 @@ class Margin:
 
 @dataclass
 class Margins:
-    """Outcome: whether the nominal flight is completed, margins, verdicts by (lag, drag)."""
+    """Outcome: how the nominal flight ended, margins, verdicts by (lag, drag), whether it was
+    completed and, if not, why."""
 
     nominal: str
     margins: list[Margin]
     verdicts: dict[tuple[float, float], str]
     completed: bool
+    why: str = ""
 
     def summary(self) -> dict[str, Any]:
         """As plain data, SI."""
@@ -187,13 +189,14 @@ class MarginRun:
             "spread": False,
         }
         self._say = say
+        self._why = ""
 
     def run(self) -> Margins:
         """Fly everything; margins are empty if the nominal flight is not completed."""
         vehicle = self._dry(Conditions(), ()).model
         assert vehicle is not None
         nominal = self._end(Conditions(), vehicle)
-        result = Margins(nominal or "completed", [], {}, nominal is None)
+        result = Margins(nominal or "completed", [], {}, nominal is None, self._why)
         if nominal is None:
             for axis in axes(vehicle):
                 self._say(f"margins: {axis.name}")
@@ -226,6 +229,7 @@ class MarginRun:
         with tempfile.TemporaryDirectory(prefix="crazyarena-margins-") as folder:
             run = self._dry(conditions, conditions.overrides(vehicle), Path(folder))
             result = run.run()
+        self._why = "" if result.clean else result.episodes[0].why
         return None if result.clean else result.episodes[0].termination.lower()
 
 

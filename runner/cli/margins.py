@@ -26,6 +26,7 @@ def show(
     """Fly, print the tables, write ``margins.json`` into ``out``; whether the nominal flight is
     completed."""
     from rich.console import Console
+    from rich.markup import escape
 
     from crazyarena.runner.margins import MarginRun, tables
 
@@ -41,7 +42,8 @@ def show(
             say=status.update,
         ).run()
     if not result.completed:
-        console.print(f"The nominal flight is not completed: {result.nominal}.")
+        why = escape(result.why) or result.nominal
+        console.print(f"The nominal flight, of a vehicle without spread, is not completed: {why}.")
     for table in tables(result):
         console.print(table)
     if out is not None:

@@ -67,9 +67,14 @@ def test_each_number_is_varied_alone_and_all_verdicts_are_told(monkeypatch):
 
 
 def test_a_nominal_failure_has_no_margins(monkeypatch):
-    monkeypatch.setattr(mg.MarginRun, "_end", lambda self, conditions, vehicle: "safety")
+    def end(self, conditions, vehicle):
+        self._why = "SAFETY: lost"
+        return "safety"
+
+    monkeypatch.setattr(mg.MarginRun, "_end", end)
     result = mg.MarginRun(None, "sim2real").run()
     assert not result.completed
     assert not result.margins
     assert result.nominal == "safety"
+    assert result.why == "SAFETY: lost"
     assert len(mg.tables(result)) == 1
