@@ -50,7 +50,7 @@ VEHICLE_SIZE = V_TICK + 1
 
 
 @kernel
-def _trace(row, time, state, par, code, setpoint):
+def _trace(row, time, state, par, code, setpoint, is_state):
     row[TR_TIME] = time
     for i in range(3):
         row[TR_POS + i] = state[SS_POS + i]
@@ -68,7 +68,7 @@ def _trace(row, time, state, par, code, setpoint):
         row[TR_ACTION + 3 - i] = force
     row[TR_CONTACT] = code
     for i in range(10):
-        row[TR_SETPOINT + i] = setpoint[i]
+        row[TR_SETPOINT + i] = setpoint[i] if is_state else math.nan
 
 
 @kernel
@@ -108,7 +108,7 @@ def step(vehicle, plant, control, solids, drone, command, is_state, limits, nois
         )  # fmt: skip
         code = touched(solids, drone)
         vehicle[V_TICK] = tick + 1.0
-        _trace(trace[k], (tick + 1.0) * dt, state, plant, code, command)
+        _trace(trace[k], (tick + 1.0) * dt, state, plant, code, command, is_state)
 
 
 def new_vehicle(start: np.ndarray) -> np.ndarray:

@@ -44,7 +44,10 @@ def save_figure(file: Path, shown: Picture) -> None:
     draw_track(top, shown.ground)
     _draw_path(figure, top, colours, shown)
     for axis, name, i in zip(rows, "xyz", range(3), strict=False):
-        axis.plot(shown.time, shown.setpoint[:, i], color="0.5", lw=1, ls="--", label="commanded")
+        if np.isfinite(shown.setpoint).any():  # attitudes are no places
+            axis.plot(
+                shown.time, shown.setpoint[:, i], color="0.5", lw=1, ls="--", label="commanded"
+            )
         axis.plot(shown.time, shown.position[:, i], color="tab:red", lw=1.2, label="flown")
         axis.set_ylabel(f"{name} [m]")
     _openings(rows[2], shown)

@@ -17,7 +17,7 @@ from crazyarena.sim_backend.physics import successor_scene as scene
 from crazyarena.sim_backend.physics.successor_plant import SS_ROTOR
 from crazyarena.sim_backend.successor import SuccessorWorld, nominal
 from crazyarena.sim_backend.successor_models import load_params, model
-from crazyarena.sim_backend.trace import TR_CONTACT, TR_POS
+from crazyarena.sim_backend.trace import TR_CONTACT, TR_POS, TR_SETPOINT
 
 FLIGHTS = json.loads((Path(__file__).parent / "successor_flights.json").read_text())
 
@@ -69,6 +69,17 @@ def test_the_published_state_example_takes_as_long_as_there():
             passed = (step + 1) / 50
         before = x
     assert passed == pytest.approx(13.86, abs=0.02)
+
+
+def test_attitudes_are_traced_as_no_place():
+    world, draw = world_of("env.control_mode=attitude")
+    world.reset(draw)
+    rows = world.step(np.array([0.1, -0.2, 0.3, 0.4]))
+    assert np.isnan(rows[:, TR_SETPOINT : TR_SETPOINT + 10]).all()
+    world, draw = world_of()
+    world.reset(draw)
+    rows = world.step(np.arange(13.0))
+    np.testing.assert_array_equal(rows[-1, TR_SETPOINT : TR_SETPOINT + 10], np.arange(10.0))
 
 
 def test_motors_off_stay_on_the_floor_and_nothing_breaks_what_it_is_told():

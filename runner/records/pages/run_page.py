@@ -137,10 +137,9 @@ def flight(flown: Flown) -> str:
         parts.append("<p>The recording was cut short.</p>")
     charts = []
     for i, axis in enumerate("xyz"):
-        lines = [
-            Line("flown", time, flown.position[:, i], "s0"),
-            Line("commanded", time, flown.setpoint[:, i], "s4 dash"),
-        ]
+        lines = [Line("flown", time, flown.position[:, i], "s0")]
+        if np.isfinite(flown.setpoint).any():  # attitudes are no places
+            lines.append(Line("commanded", time, flown.setpoint[:, i], "s4 dash"))
         openings = _openings(flown) if axis == "z" else ()
         charts.append(chart(f"{axis} [m]", lines, gates=gates, marks=told, openings=openings))
     speed = Line("speed", time, np.linalg.norm(flown.velocity, axis=1), "s2")
