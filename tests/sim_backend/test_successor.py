@@ -76,7 +76,7 @@ def test_attitudes_are_traced_as_no_place():
     world.reset(draw)
     rows = world.step(np.array([0.1, -0.2, 0.3, 0.4]))
     assert np.isnan(rows[:, TR_SETPOINT : TR_SETPOINT + 10]).all()
-    world, draw = world_of()
+    world, draw = world_of("env.disturbances={}")
     world.reset(draw)
     rows = world.step(np.arange(13.0))
     np.testing.assert_array_equal(rows[-1, TR_SETPOINT : TR_SETPOINT + 10], np.arange(10.0))
