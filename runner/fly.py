@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from crazyarena.errors import InputError
@@ -25,6 +26,8 @@ from crazyarena.types import Pose
 from crazyarena.viewer_process import View
 
 OpenRig = Callable[[Level, Limits], Rig]
+
+_BEFORE_OTHERS = -5  # niceness of a contestant in flight: browsers may draw on every processor
 
 
 class Fly(DryRun):
@@ -80,6 +83,10 @@ class Fly(DryRun):
                 "--mocap onboard: no cameras measure the track; --survey FILE. crazyarena "
                 "arena-check LEVEL --track FILE writes one to be corrected by hand"
             )
+        if real_time:
+            # Its answers are waited for; what is looked at or drawn meanwhile is not.
+            limits = replace(self._options.limits, niceness=_BEFORE_OTHERS)
+            self._options = replace(self._options, limits=limits)
         self._open_rig = open_rig
         self._yes = yes
         self._surveyed: dict[str, Pose] | None = None if surveyed is None else read_track(surveyed)

@@ -18,6 +18,7 @@ class Limits:
     processes: at once; open_files: of each process; disk, files: bytes in, and number of, all
     its files and folders beyond those of the submission; copy_size: bytes a submission may have;
     make_timeout, hook_timeout: s of wall time for the constructor and the episode hooks.
+    niceness: of its processes, below 0 before others, as far as the runner may say so.
     """
 
     address_space: int = 4096 * _MIB
@@ -31,6 +32,7 @@ class Limits:
     copy_size: int = 1024 * _MIB
     make_timeout: float = 120.0
     hook_timeout: float = 120.0
+    niceness: int = 0
 
 
 def apply(limits: Limits, already_running: int = 0) -> None:

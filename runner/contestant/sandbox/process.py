@@ -92,6 +92,7 @@ class Sandboxed:
         try:
             self._start()
             self.description = self._await_ready(self._require)
+            self._prefer()
             self._request(
                 "load", self._loading(), self._limits.make_timeout, "importing the submission"
             )
@@ -303,6 +304,14 @@ class Sandboxed:
                 pass_fds=(theirs.fileno(),),
                 start_new_session=True,
             )
+
+    def _prefer(self) -> None:
+        """Before what else runs here, as the limits say; threads it starts later inherit that."""
+        if self._limits.niceness == 0 or self._process is None:
+            return
+        for pid in quota.descendants(self._process.pid):
+            with contextlib.suppress(OSError):
+                os.setpriority(os.PRIO_PROCESS, pid, self._limits.niceness)
 
     def _await_ready(self, require: bool) -> dict[str, Any]:
         try:
