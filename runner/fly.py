@@ -27,7 +27,7 @@ from crazyarena.viewer_process import View
 
 OpenRig = Callable[[Level, Limits], Rig]
 
-_BEFORE_OTHERS = -5  # niceness of a contestant in flight: browsers may draw on every processor
+_BEFORE_OTHERS = -10  # niceness of a contestant in flight: browsers may draw on every processor
 
 
 class Fly(DryRun):

@@ -312,6 +312,8 @@ class Sandboxed:
         for pid in quota.descendants(self._process.pid):
             with contextlib.suppress(OSError):
                 os.setpriority(os.PRIO_PROCESS, pid, self._limits.niceness)
+                # Linux weighs sessions against each other first, by a niceness of their own.
+                Path(f"/proc/{pid}/autogroup").write_text(str(self._limits.niceness))
 
     def _await_ready(self, require: bool) -> dict[str, Any]:
         try:
