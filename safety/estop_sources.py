@@ -19,7 +19,7 @@ from crazyarena.errors import DependencyMissing, InputError
 from crazyarena.mocap.zenoh_session import open_session
 from crazyarena.plain_text import shown_line
 from crazyarena.safety.estop import DeadMan, StopButton, say_loudly
-from crazyarena.safety.estop_local import runtime_folder, stop_local
+from crazyarena.safety.estop_local import MOST_REASON, runtime_folder, stop_local
 from crazyarena.safety.estop_socket import SocketSource
 from crazyarena.safety.estop_token import MAX_BYTES, TokenCheck, make_message
 
@@ -106,6 +106,7 @@ def stop_over_zenoh(
     Sent at once for whoever needs no session name, and again to each session that answers
     within ``patience`` s.
     """
+    reason = shown_line(reason, MOST_REASON)
     session = open_session(connect, network=True)
     try:
         import zenoh

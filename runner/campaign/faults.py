@@ -71,8 +71,8 @@ FAULTS: dict[str, Fault] = {
     "killed_process": Fault(station.killed, link=True),
 }
 
-# The default vehicle of the campaign has 1.5 times its weight of thrust; a guess from above.
-_BY_ATTITUDE = Limits(allow_attitude=True, thrust_to_weight=1.7, setpoint_tilt=0.9)
+# What full thrust is to its weight is told by the plan of a flight, which knows the vehicle.
+_BY_ATTITUDE = Limits(allow_attitude=True, setpoint_tilt=0.9)
 
 
 def _flown_by_attitude(

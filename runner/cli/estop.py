@@ -43,10 +43,9 @@ def estop(
     those of everybody); those elsewhere with --connect or --network. Exit code: 0 when a vehicle's
     link confirmed (with --test: when a session answered), 1 when none did.
     """
-    from crazyarena.safety.estop_local import LANDING, MOST_REASON, STOPPED, TESTED, stop_local
+    from crazyarena.safety.estop_local import LANDING, STOPPED, TESTED, stop_local
 
     found = answered = False
-    reason = shown_line(reason, MOST_REASON)
     with bad_input_exits():
         # The nearest first; nothing that could fail comes before it.
         good = LANDING if land else TESTED if test else STOPPED

@@ -15,9 +15,7 @@ _MAPS = Path("/proc/self/uid_map"), Path("/proc/self/gid_map")
 _turns = itertools.count(secrets.randbelow(_COUNT))
 
 
-def own_user(
-    maps: tuple[Path, ...] = (Path("/proc/self/uid_map"), Path("/proc/self/gid_map")),
-) -> int:
+def own_user(maps: tuple[Path, ...] = _MAPS) -> int:
     """Number of a user, and of its group, that no other contestant of this process has.
 
     That of ``nobody`` where this machine's root may not become it, as in small user namespaces.
