@@ -29,10 +29,11 @@ from crazyarena.runner.records.report import machine, versions
 from crazyarena.runner.records.run_folder import ResultFile, run_folder
 from crazyarena.runner.trial.lsy_race_episode import PATIENCE, RaceEpisode, RaceResult
 from crazyarena.runner.trial.lsy_race_showing import RaceShowing
+from crazyarena.runner.trial.lsy_viewed import Viewed
 from crazyarena.runner.warm_up import compile_missing
 from crazyarena.sim_backend.successor import nominal
 from crazyarena.sim_backend.successor_race import SuccessorRace
-from crazyarena.viewer_process import View, ViewOptions
+from crazyarena.viewer_process import ViewOptions
 
 _THEIRS = Path("lsy_drone_racing", "control")
 _ROOMY = 72  # characters that a table with times of computing needs
@@ -111,7 +112,7 @@ class RaceOutcome:
         return self.success_rate == 1.0
 
 
-class LsyRace:
+class LsyRace(Viewed):
     """One run of several controllers through races of a level, each in a process of its own.
 
     Parameters
@@ -147,6 +148,7 @@ class LsyRace:
         view: ViewOptions | None = None,
         pace: float = 1.0,
     ) -> None:
+        super().__init__(console, view)
         self.level = level
         self.out = out
         self.seed = settled_seed(level, seed, secret)
@@ -155,10 +157,8 @@ class LsyRace:
         self._episodes = episodes
         self._record = record
         self._require = require_sandbox
-        self._console = console if console is not None else Console()
         self._patience = patience
-        self._wanted_view, self._pace = view, pace
-        self._view: View | None = None
+        self._pace = pace
         self._show: RaceShowing | None = None
         self._trouble: str | None = None
 
@@ -167,26 +167,16 @@ class LsyRace:
         try:
             return self._run()
         except BaseException:
-            if self._view is not None:
-                self._view.close()
+            self._close_view()
             raise
 
-    def finish(self) -> None:
-        """Let the viewer, if there is one, stay as long as somebody looks."""
-        if self._view is not None:
-            self._view.finish()
-
     def _open_show(self, stack: contextlib.ExitStack) -> None:
-        if self._wanted_view is None:
+        view = self._open_view(self.level.drones)
+        if view is None:
             return
-        self._view = View(
-            self._wanted_view,
-            lambda text: self._console.print(text, highlight=False, markup=False, soft_wrap=True),
-            vehicles=self.level.drones,
-        )
-        self._show = RaceShowing(self._view.live, self.level, self._episodes, self._pace)
+        self._show = RaceShowing(view.live, self.level, self._episodes, self._pace)
         stack.callback(self._show.close)
-        self._view.await_browser()
+        view.await_browser()
 
     def _run(self) -> RaceOutcome:
         console, level = self._console, self.level

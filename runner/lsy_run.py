@@ -46,10 +46,11 @@ from crazyarena.runner.records.report import machine, versions
 from crazyarena.runner.records.run_folder import ResultFile, run_folder
 from crazyarena.runner.trial.lsy_episode import COMMAND_LAYOUT, LsyEpisode, LsyEpisodeResult
 from crazyarena.runner.trial.lsy_showing import LsyShowing
+from crazyarena.runner.trial.lsy_viewed import Viewed
 from crazyarena.runner.trial.options import secret_seed
 from crazyarena.runner.warm_up import compile_missing
 from crazyarena.sim_backend.successor import SuccessorWorld, nominal
-from crazyarena.viewer_process import View, ViewOptions
+from crazyarena.viewer_process import ViewOptions
 
 FORMAT = 1
 _ENDS_RUN = (CONTROLLER_ERROR, CONTROLLER_TIMEOUT, INTERRUPTED)
@@ -89,7 +90,7 @@ class LsyResult:
         return next((e.error for e in self.episodes if e.error is not None), None)
 
 
-class LsyRun:
+class LsyRun(Viewed):
     """One run of a controller through episodes of a level.
 
     Parameters
@@ -136,10 +137,10 @@ class LsyRun:
         figure: Figures | bool | str = False,
         report: bool = False,
     ) -> None:
+        super().__init__(console, view)
         self._figure, self._report = Figures.of(figure), report
         self._told: list[tuple[str, str | None]] = []
-        self._wanted_view, self._pace = view, pace
-        self._view: View | None = None
+        self._pace = pace
         self._show: LsyShowing | None = None
         self._parameters = parameters
         self._budget = budget
@@ -167,7 +168,6 @@ class LsyRun:
         self.isolated = False
         self._sandbox = sandbox or secret
         self._require = require_sandbox
-        self._console = console if console is not None else Console()
 
     def run(self) -> LsyResult:
         """Fly; write ``result.json`` if there is a folder for it."""
@@ -175,25 +175,16 @@ class LsyRun:
             return self._run()
         except BaseException:
             self._pictures.close()
-            if self._view is not None:
-                self._view.close()
+            self._close_view()
             raise
 
-    def finish(self) -> None:
-        """Let the viewer, if there is one, stay as long as somebody looks."""
-        if self._view is not None:
-            self._view.finish()
-
     def _open_show(self, stack: contextlib.ExitStack) -> None:
-        if self._wanted_view is None:
+        view = self._open_view()
+        if view is None:
             return
-        self._view = View(
-            self._wanted_view,
-            lambda text: self._console.print(text, highlight=False, markup=False, soft_wrap=True),
-        )
-        self._show = LsyShowing(self._view.live, self.level, self._episodes, self._pace)
+        self._show = LsyShowing(view.live, self.level, self._episodes, self._pace)
         stack.callback(self._show.close)
-        self._view.await_browser()
+        view.await_browser()
 
     def _run(self) -> LsyResult:
         console, level = self._console, self.level
